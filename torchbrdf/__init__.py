@@ -1,0 +1,52 @@
+"""torchbrdf: batched, differentiable reflection models for inverse rendering in PyTorch.
+
+One straight way for light: mesh -> G-buffer -> plan -> material -> effects -> radiance -> loss. Every public name is loaded
+when it is first used, so that ``import torchbrdf`` costs little more than ``import torch``.
+"""
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+# Where each public name lives. (No public function bears a module's name: tb.plan lives in planning.py.)
+_HOME = {
+    "vector": ("Frame", "Geometry", "normalize", "reflect", "refract", "is_planar", "planar"),
+    "value": ("Interval", "Value", "load_value", "param", "validate", "value"),
+    "pictures": ("read_image", "save_image"),
+    "optics.fresnel": ("Conductor", "Dielectric", "Fresnel", "Schlick"),
+    "bsdf.base": ("Bsdf", "BSDFSample", "Lobe"),
+    "bsdf.lambert": ("Lambert",),
+    "bsdf.phong": ("Phong",),
+    "bsdf.blinn_phong": ("BlinnPhong",),
+    "bsdf.mirror": ("Mirror",),
+    "bsdf.combine": ("Scaled", "Sum"),
+    "light.base": ("Light",),
+    "light.point": ("PointLight",),
+    "light.directional": ("DirectionalLight",),
+    "light.environment": ("EnvironmentMap",),
+    "scene.mesh": ("Mesh", "load_mesh"),
+    "scene.camera": ("Camera",),
+    "scene.gbuffer": ("GBuffer",),
+    "scene.visibility": ("visibility",),
+    "planning": ("Plan", "ShadingWarning", "plan", "shade"),
+    "compiling": ("compile",),
+}
+_MODULES = {"fresnel": "optics.fresnel", "nn": "nn", "testing": "testing"}
+_NAMES = {name: module for module, names in _HOME.items() for name in names}
+__all__ = sorted([*_NAMES, *_MODULES])
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        found = importlib.import_module(f"{__name__}.{_MODULES[name]}")
+    elif name in _NAMES:
+        found = getattr(importlib.import_module(f"{__name__}.{_NAMES[name]}"), name)
+    else:
+        raise AttributeError(f"module 'torchbrdf' has no attribute {name!r}")
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,0 +1,72 @@
+r"""Blinn's lobe about the half vector, normalised to reflect exactly its strength at normal view.
+
+.. math:: f = k \; \frac{(s+2)(s+4)}{8\pi\,(2^{-s/2}+s)} \; F(\omega_i \cdot h) \; (n \cdot h)^s
+
+=========  ====================  ========================================
+parameter  unit, range           meaning
+=========  ====================  ========================================
+specular   [..., C] in [0, 1]    strength k
+exponent   [..., 1], >= 0        s
+fresnel    a Fresnel term, None  F at the half vector
+=========  ====================  ========================================
+
+Directional albedo with F = 1: exactly k at normal view, at most k elsewhere. The factor is that of the *reflected light*
+(Sloan & Hoffman, in Akenine-Moeller et al. 2008, sec. 7.6), not that of a microfacet distribution, (s+2)/(2 pi). Smooth above the
+horizon, but for wi = -wo, where there is no half vector. Source: Blinn 1977.
+
+>>> import torch, torchbrdf as tb
+>>> up = torch.tensor([0.0, 0.0, 1.0])
+>>> float(tb.BlinnPhong(1.0, 0.0).evaluate(up, up)) * torch.pi
+1.0...
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from .. import numerics, vector
+from ..optics.fresnel import Fresnel
+from ..value import UNIT, param, value
+from ..vector import Geometry, Vec
+from .base import Bsdf, Channels, Draw, Lobe, draw_from
+from .phong import EXPONENT, cosine_power_direction, tinted
+
+
+def normal_view_factor(s: Tensor) -> Tensor:
+    """The factor that makes the directional albedo at normal view exactly 1."""
+    return (s + 2.0) * (s + 4.0) / (8.0 * math.pi * (torch.exp2(-0.5 * s) + s))
+
+
+@value
+class BlinnPhong(Bsdf):
+    """``specular N(s) F(wi.h) (n.h)^s``, of directional albedo ``specular`` at normal view."""
+
+    specular: Tensor = param(UNIT, None, "strength k")
+    exponent: Tensor = param(EXPONENT, 1, "s")
+    fresnel: Fresnel | None = None
+
+    lobes = (Lobe.GLOSSY,)
+
+    def formula(self, g: Geometry) -> Channels:
+        s = g.scalar(self.exponent)
+        return tinted(g, self.specular, self.fresnel, half_vector_power(g, s) * normal_view_factor(s))
+
+    def density(self, g: Geometry) -> Tensor:
+        """Of the half vector, (s+2)/(2 pi) cos^(s+1), over the Jacobian 4 wi.h of the reflection."""
+        s = g.scalar(self.exponent)
+        return half_vector_power(g, s + 1.0) * (s + 2.0) / (8.0 * math.pi) * numerics.reciprocal_or_zero(g.wi_h)
+
+    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
+        s = Geometry(wo, wo, wo, None, wide).scalar(self.exponent)
+        h = cosine_power_direction(u, s + 2.0)
+        return draw_from(self, vector.reflect_components(wo, h), wo, wide)
+
+    @property
+    def energy_bound(self) -> Tensor:
+        return self.specular
+
+
+def half_vector_power(g: Geometry, s: Tensor) -> Tensor:
+    """``|n.h|^s``."""
+    return numerics.cosine_power(g.cos_h.abs(), g.sin2_h, s)

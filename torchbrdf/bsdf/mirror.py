@@ -1,0 +1,64 @@
+r"""Perfect mirror reflection: a delta lobe.
+
+.. math:: f = F(\cos\theta_i) \; \delta(\omega_i - R(\omega_o)) / \cos\theta_i
+
+=========  ====================  ========================================
+parameter  unit, range           meaning
+=========  ====================  ========================================
+tint       [..., C] in [0, 1]    colour that multiplies F
+fresnel    a Fresnel term, None  F at the angle of incidence; None: 1
+=========  ====================  ========================================
+
+``evaluate`` and ``pdf`` are 0 (a delta is no number); ``sample(...).weight`` is ``tint F`` and its ``pdf`` the discrete
+probability 1. The directional albedo is ``tint F(cos)``. Smooth above the horizon wherever F is.
+
+>>> import torch, torchbrdf as tb
+>>> up = torch.tensor([0.0, 0.0, 1.0])
+>>> tb.Mirror(1.0, tb.Dielectric(1.5)).directional_albedo(up)
+tensor([0.0400])
+"""
+
+import torch
+from torch import Tensor
+
+from ..optics.fresnel import Fresnel
+from ..value import UNIT, param, value
+from ..vector import Geometry, Vec, each
+from .base import Bsdf, Channels, Draw, Lobe, join
+
+
+@value
+class Mirror(Bsdf):
+    """A smooth mirror of reflectance ``tint F(cos)``."""
+
+    tint: Tensor = param(UNIT, None, "colour that multiplies the Fresnel term", default=1.0)
+    fresnel: Fresnel | None = None
+
+    lobes = (Lobe.MIRROR,)
+
+    def formula(self, g: Geometry) -> Channels:
+        zero = torch.zeros_like(g.cos_i + g.cos_o)
+        return tuple(zero * t for t in self.reflectance(g, g.cos_o))
+
+    def density(self, g: Geometry) -> Tensor:
+        return torch.zeros_like(g.cos_i + g.cos_o)
+
+    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
+        wi = Vec(*torch.broadcast_tensors(-wo.x, -wo.y, wo.z, u.x)[:3])
+        one = torch.ones_like(wi.z)
+        weight = self.reflectance(Geometry(wi, wo, wo, None, wide), wi.z)
+        return Draw(wi, weight, one, torch.zeros_like(one, dtype=torch.int64))
+
+    def reflectance(self, g: Geometry, cos: Tensor) -> Channels:
+        """``tint F(cos)`` per channel."""
+        tint = g.colour(self.tint)
+        return each(lambda t, f: t * f, tint, self.fresnel.terms(g, cos)) if self.fresnel else each(lambda t: t + torch.zeros_like(cos), tint)
+
+    def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
+        """``tint F(cos)`` above the horizon, exactly."""
+        g = self.geometry(wo, wo, n)
+        return join([torch.where(g.cos_o > 0, r, 0.0) for r in self.reflectance(g, g.cos_o)], g.wide).to(wo.dtype)
+
+    @property
+    def energy_bound(self) -> Tensor:
+        return self.tint

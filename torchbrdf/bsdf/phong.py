@@ -1,0 +1,99 @@
+r"""Phong's lobe about the mirror direction, in the form of the lecture.
+
+.. math:: f = k \; N(s) \; F(\omega_i \cdot h) \; \max(0,\ \omega_i \cdot R(\omega_o))^s
+
+=============  ====================  ===========================================================
+parameter      unit, range           meaning
+=============  ====================  ===========================================================
+specular       [..., C], >= 0        strength k
+exponent       [..., 1], >= 0        s; 0 is flat, 1e6 nearly a mirror
+fresnel        a Fresnel term, None  F at the half vector, so that reciprocity stays
+normalization  a name                N(s), below
+=============  ====================  ===========================================================
+
+==============  ======================  ========================================================================
+normalization   N(s)                    directional albedo (F = 1)
+==============  ======================  ========================================================================
+``"none"``      1                       no energy bound above k = (s+2)/(2 pi): Phong 1975
+``"bound"``     (s + 1) / (2 pi)        k (s+1)/(s+2) at normal incidence; the lecture's bound for every angle
+``"modified"``  (s + 2) / (2 pi)        exactly k at normal incidence, at most k elsewhere: Lafortune & Willems 1994
+==============  ======================  ========================================================================
+
+Not smooth at the edge of the lobe (wi.R = 0) for s < 1. The cosine is taken through its complement |R - wi|^2 / 2, because
+near the peak, where a large exponent lives, the cosine itself has no digits left.
+
+>>> import torch, torchbrdf as tb
+>>> up = torch.tensor([0.0, 0.0, 1.0])
+>>> float(tb.Phong(1.0, 10.0, normalization="none").evaluate(up, up))
+1.0
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from .. import numerics, vector
+from ..optics.fresnel import Fresnel
+from ..value import Interval, NONNEGATIVE, param, value
+from ..vector import Geometry, Vec, each
+from .base import Bsdf, Channels, Draw, Lobe, draw_from
+
+EXPONENT = Interval(0.0, typical=(1.0, 200.0))
+NORMALIZATIONS = {
+    "none": lambda s: torch.ones_like(s),
+    "bound": lambda s: (s + 1.0) / (2.0 * math.pi),
+    "modified": lambda s: (s + 2.0) / (2.0 * math.pi),
+}
+
+
+@value
+class Phong(Bsdf):
+    """``specular N(s) F(wi.h) (wi.R(wo))^s`` with the normalisation ``"modified"``, ``"bound"`` or ``"none"``."""
+
+    specular: Tensor = param(NONNEGATIVE, None, "strength k")
+    exponent: Tensor = param(EXPONENT, 1, "s")
+    fresnel: Fresnel | None = None
+    normalization: str = "modified"
+
+    lobes = (Lobe.GLOSSY,)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.normalization not in NORMALIZATIONS:
+            raise ValueError(f"Phong.normalization: found {self.normalization!r}, legal are {sorted(NORMALIZATIONS)}")
+
+    def formula(self, g: Geometry) -> Channels:
+        s = g.scalar(self.exponent)
+        lobe = numerics.log1p_power(g.mirror_complement, s) * NORMALIZATIONS[self.normalization](s)
+        return tinted(g, self.specular, self.fresnel, lobe)
+
+    def density(self, g: Geometry) -> Tensor:
+        s = g.scalar(self.exponent)
+        return numerics.log1p_power(g.mirror_complement, s) * ((s + 1.0) / (2.0 * math.pi))
+
+    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
+        """Proportional to the lobe, about the mirror direction (Lafortune & Willems 1994, eq. 11)."""
+        s = Geometry(wo, wo, wo, None, wide).scalar(self.exponent)
+        mirror = Vec(-wo.x, -wo.y, wo.z)
+        axes = vector.frame_components(mirror)
+        return draw_from(self, vector.combine(axes, cosine_power_direction(u, s + 1.0)), wo, wide)
+
+    @property
+    def energy_bound(self) -> Tensor | None:
+        return None if self.normalization == "none" else self.specular
+
+
+def tinted(g: Geometry, specular: Tensor, fresnel: Fresnel | None, lobe: Tensor) -> Channels:
+    """``specular F(wi.h) lobe``, channel by channel."""
+    if fresnel is None:
+        return tuple(k * lobe for k in g.colour(specular))
+    return each(lambda k, f: k * f * lobe, g.colour(specular), fresnel.terms(g, g.wi_h))
+
+
+def cosine_power_direction(u: Vec, power: Tensor) -> Vec:
+    """Direction about +z whose cosine has the density ``power cos^(power-1)``; the sine by expm1, accurate at any power."""
+    log_cos = torch.log(1.0 - u.x) / power
+    cos, sin = torch.exp(log_cos), numerics.safe_sqrt(-torch.expm1(2.0 * log_cos))
+    phi = 2.0 * math.pi * u.y
+    return Vec(sin * torch.cos(phi), sin * torch.sin(phi), cos)

@@ -1,0 +1,1 @@
+"""Floor 1: one optical effect a file; the exact law first, its approximations below it."""

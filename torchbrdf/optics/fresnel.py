@@ -1,0 +1,145 @@
+r"""Fresnel reflectance of smooth interfaces: the exact laws, and Schlick's approximation below them.
+
+With :math:`c = \cos\theta_i`, :math:`s^2 = (1-c)(1+c)`, :math:`\delta = (\eta-1)(\eta+1)`, :math:`g = \sqrt{\delta + c^2}`:
+
+======================  =====================================================================  ==========================
+dielectric (exact)      :math:`r_s = -\delta/A^2,\ r_p = \delta(\eta^2c^2-s^2)/B^2`            Fresnel 1823; Cook & Torrance
+                        with :math:`A = c+g,\ B = \eta^2c+g`; :math:`F = (r_s^2+r_p^2)/2`      1982 for the form in g
+conductor (exact)       complex index :math:`\eta + ik` (k >= 0, time :math:`e^{-i\omega t}`)  Born & Wolf 1999, sec. 14.2
+Schlick                 :math:`F_0 + (1-F_0)(1-c)^5`                                           Schlick 1994, eq. 15
+======================  =====================================================================  ==========================
+
+The functions are elementwise and broadcast. ``eta`` is n(far side) / n(side of the ray). Cosines lie in [0, 1]; beyond, they
+act as at the nearest end, with gradient 0. Not smooth at: the critical angle, where the slope outside is -inf and inside 0.
+"""
+
+from abc import abstractmethod
+
+import torch
+from torch import Tensor
+
+from .. import numerics
+from ..value import Interval, UNIT, Value, param, value
+from ..vector import Geometry, each, stack
+
+ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5))
+
+
+def _tensors(*xs: Tensor | float) -> list[Tensor]:
+    like = next((x for x in xs if isinstance(x, Tensor)), torch.zeros(()))
+    return [x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=like.dtype, device=like.device) for x in xs]
+
+
+def dielectric(cos_i: Tensor, eta: Tensor | float) -> Tensor:
+    """Exact unpolarised reflectance of a dielectric interface, in [0, 1].
+
+    ``cos_i`` in [0, 1], ``eta`` > 0, broadcast. 1 under total internal reflection (``g^2 <= 0``), with gradient 0; 0
+    everywhere at eta = 1, grazing included.
+    """
+    c, n = _tensors(cos_i, eta)
+    c = numerics.unit_interval(c)
+    g2 = numerics.eta2_minus_sin2(c, n)
+    matched = n == 1
+    partial = (g2 > 0) & ~matched
+    g = torch.sqrt(torch.where(partial, g2, 1.0))
+    delta = (n - 1.0) * (n + 1.0)
+    n2 = n * n
+    a, b = c + g, n2 * c + g
+    r_s = delta / (a * a)
+    r_p = delta * (n2 * c * c - (1.0 - c) * (1.0 + c)) / (b * b)
+    exact = numerics.at_most_one(0.5 * (r_s * r_s + r_p * r_p))
+    return torch.where(partial, exact, torch.where(matched, 0.0, 1.0))
+
+
+def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
+    """Exact unpolarised reflectance of a conductor of complex index ``eta + i k``, in [0, 1].
+
+    ``cos_i`` in [0, 1], ``eta`` > 0, ``k`` >= 0, broadcast. ``k = 0`` is the dielectric, one-sided derivative included.
+    """
+    c, n, k = _tensors(cos_i, eta, k)
+    c = numerics.unit_interval(c)
+    vacuum = (n == 1) & (k == 0)
+    s2 = (1.0 - c) * (1.0 + c)
+    a, b = _refracted_root((n - 1.0) * (n + 1.0) + c * c - k * k, n * k)
+    a = torch.where(vacuum, 1.0, a)
+    b2 = b * b
+    senkrecht = ((a - c) * (a - c) + b2) / ((a + c) * (a + c) + b2)
+    ac, b2c2 = a * c, b2 * c * c
+    quotient = ((ac - s2) * (ac - s2) + b2c2) / ((ac + s2) * (ac + s2) + b2c2)
+    return torch.where(vacuum, 0.0, numerics.at_most_one(0.5 * senkrecht * (1.0 + quotient)))
+
+
+def _refracted_root(real: Tensor, half_imag: Tensor) -> tuple[Tensor, Tensor]:
+    """``sqrt(real + 2i half_imag)`` = a + ib: the part that does not cancel by a square root, the other by division."""
+    degenerate = (real == 0) & (half_imag == 0)
+    t = torch.where(degenerate, 1.0, real)
+    modulus = torch.hypot(t, 2.0 * half_imag)
+    large = torch.sqrt(0.5 * (modulus + t.abs()))
+    small = half_imag / large
+    a = torch.where(real >= 0, large, small)
+    b = torch.where(real >= 0, small, large)
+    return torch.where(degenerate, 0.0, a), torch.where(degenerate, 0.0, b)
+
+
+def schlick(cos_i: Tensor, f0: Tensor | float) -> Tensor:
+    """Schlick's approximation from the reflectance ``f0`` in [0, 1] at normal incidence; ``cos_i`` in [0, 1], broadcast."""
+    c, f0 = _tensors(cos_i, f0)
+    m = 1.0 - numerics.unit_interval(c)
+    m2 = m * m
+    return f0 + (1.0 - f0) * (m2 * m2 * m)
+
+
+class Fresnel(Value):
+    """Interface of the Fresnel terms: what fraction of the power a smooth interface reflects at each angle."""
+
+    @abstractmethod
+    def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
+        """Channels at the cosine ``[...]``, in the layout of ``g``."""
+
+    def reflectance(self, cos_i: Tensor) -> Tensor:
+        """Reflectance ``[..., C]`` at ``cos_i [..., 1]``."""
+        z = numerics.widen(cos_i[..., 0] if cos_i.shape[-1:] == (1,) else _need_trailing_one(cos_i))
+        return stack(self.terms(Geometry.of_cosine(z), z)).to(cos_i.dtype)
+
+
+def _need_trailing_one(cos_i: Tensor) -> Tensor:
+    raise ValueError(f"cos_i: expected shape [..., 1], found {list(cos_i.shape)}; did you mean cos_i.unsqueeze(-1)?")
+
+
+@value
+class Dielectric(Fresnel):
+    """Exact dielectric term (:func:`dielectric`). ``eta``: n(inside) / n(outside); 1.5 is glass in air."""
+
+    eta: Tensor = param(ETA, None, "index of refraction, inside over outside")
+
+    def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
+        return each(lambda eta: dielectric(cos, eta), g.colour(self.eta))
+
+
+@value
+class Conductor(Fresnel):
+    """Exact conductor term (:func:`conductor`) of the complex index ``eta + i k``, one value per channel."""
+
+    eta: Tensor = param(Interval(0.0, open_low=True, typical=(0.1, 3.0)), None, "real part of the index")
+    k: Tensor = param(Interval(0.0, typical=(0.5, 7.0)), None, "imaginary part of the index")
+
+    def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
+        return each(lambda eta, k: conductor(cos, eta, k), g.colour(self.eta), g.colour(self.k))
+
+    @staticmethod
+    def named(metal: str, wavelengths: tuple[float, ...] = (0.65, 0.55, 0.45)) -> "Conductor":
+        """A measured metal ("Cu", "Au", "Ag", "Al", "Cr", "Fe", "Ni", "Ti") at wavelengths in micrometres (red, green, blue)."""
+        from .metals import index_at
+
+        eta, k = index_at(metal, wavelengths)
+        return Conductor(eta, k)
+
+
+@value
+class Schlick(Fresnel):
+    """Schlick's approximation (:func:`schlick`) from the colour ``f0`` at normal incidence."""
+
+    f0: Tensor = param(UNIT, None, "reflectance at normal incidence")
+
+    def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
+        return each(lambda f0: schlick(cos, f0), g.colour(self.f0))

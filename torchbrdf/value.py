@@ -1,0 +1,297 @@
+"""Values: frozen dataclasses of tensors that autograd, ``torch.compile``, ``vmap`` and ``functional_call`` see through.
+
+A field declared with :func:`param` states once what it is: its legal range and its trailing size. That one declaration
+serves validation, draws in tests, unconstrained optimisation and the docs table. Numbers and lists become CPU float64
+tensors; taken apart inside a formula they are 0-dimensional, and torch lets those follow the dtype and device of the
+shading points. Parameters with batch axes must match the points themselves.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree as pytree
+
+T = TypeVar("T")
+VALUES: dict[str, type["Value"]] = {}
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """The legal range of a parameter; ``typical`` is the sub-range that tests draw from and learning starts in."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+    typical: tuple[float, float] | None = None
+
+    def __str__(self) -> str:
+        left = "(" if self.open_low or math.isinf(self.low) else "["
+        return f"{left}{self.low:g}, {self.high:g}{')' if math.isinf(self.high) else ']'}"
+
+    def contains(self, x: Tensor) -> Tensor:
+        """Where x is finite and legal (bool)."""
+        above = x > self.low if self.open_low else x >= self.low
+        return torch.isfinite(x) & above & (x <= self.high)
+
+    def from_unconstrained(self, u: Tensor) -> Tensor:
+        """All reals -> the interior: sigmoid for two finite ends, exp for one, the identity for none."""
+        if math.isfinite(self.low) and math.isfinite(self.high):
+            return self.low + (self.high - self.low) * torch.sigmoid(u)
+        return self.low + torch.exp(u) if math.isfinite(self.low) else u
+
+    def to_unconstrained(self, x: Tensor) -> Tensor:
+        """Inverse of :meth:`from_unconstrained`. A start on the bound, infinitely far out, begins sqrt(eps) inside instead."""
+        margin = math.sqrt(torch.finfo(x.dtype).eps)
+        if math.isfinite(self.low) and math.isfinite(self.high):
+            return torch.logit((x - self.low) / (self.high - self.low), eps=margin)
+        return torch.log((x - self.low).clamp_min(margin)) if math.isfinite(self.low) else x
+
+    def draw(self, shape: tuple[int, ...], generator: torch.Generator, dtype: torch.dtype = torch.float64) -> Tensor:
+        """Random legal values: log-uniform over a positive typical range of more than one decade, uniform otherwise."""
+        low, high = self.typical or (max(self.low, -1.0), min(self.high, 1.0))
+        u = torch.rand(shape, generator=generator, dtype=dtype)
+        return low * (high / low) ** u if low > 0 and high / low > 10 else low + (high - low) * u
+
+
+REAL = Interval()
+UNIT = Interval(0.0, 1.0, typical=(0.1, 0.9))
+NONNEGATIVE = Interval(0.0, math.inf, typical=(0.1, 2.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class Param:
+    """What :func:`param` declares. ``size`` is the trailing size: 1, 2, 3, or None for colour ``C``."""
+
+    constraint: Interval
+    size: int | None
+    doc: str = ""
+    kind: str = "float"  # "float", "int" or "bool"
+
+
+def param(constraint: Interval, size: int | None, doc: str = "", default: Any = dataclasses.MISSING, kind: str = "float") -> Any:
+    """A tensor field ``[..., size]`` (``size=None``: ``[..., C]``, any number of channels) that must lie in ``constraint``."""
+    return dataclasses.field(default=default, metadata={"param": Param(constraint, size, doc, kind)})
+
+
+def _to_tensor(x: Any, where: str, kind: str) -> Tensor:
+    try:
+        t = x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=None if hasattr(x, "dtype") or kind != "float" else torch.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise TypeError(f"{where}: expected a number, list, array or tensor, found {type(x).__name__} ({error})") from None
+    found = "float" if t.dtype.is_floating_point else "bool" if t.dtype == torch.bool else "complex" if t.is_complex() else "int"
+    if found != kind:
+        raise TypeError(f"{where}: expected a tensor of {kind}s, found {t.dtype}; convert it, for example with .to({_EXAMPLE[kind]})")
+    return t.reshape(1) if t.dim() == 0 else t
+
+
+_EXAMPLE = {"float": "torch.float32", "int": "torch.int64", "bool": "torch.bool"}
+
+
+def has_tensors(x: Any) -> bool:
+    """Whether x is, or holds, tensors: such fields are pytree children, all others are static context."""
+    return isinstance(x, Tensor | Value) or (isinstance(x, tuple | list) and any(has_tensors(v) for v in x))
+
+
+class Value:
+    """Base of everything made with :func:`value`: everyday handling of a frozen bundle of tensors."""
+
+    # Filled in by @value: torch.compile cannot trace dataclasses.fields on a class.
+    _params: ClassVar[dict[str, Param]] = {}
+    _fields: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        """Turn numbers into tensors and check shapes and dtypes (never tensor values: this runs inside graphs)."""
+        for name, spec in self.params().items():
+            raw = getattr(self, name)
+            if raw is None:
+                continue
+            where = f"{type(self).__name__}.{name}"
+            tensor = _to_tensor(raw, where, spec.kind)
+            if spec.size is not None and tensor.shape[-1] != spec.size:
+                raise ValueError(f"{where}: expected shape [..., {spec.size}], found {list(tensor.shape)}{_shape_hint(tensor, spec)}")
+            object.__setattr__(self, name, tensor)
+        self.check_shapes()
+
+    def check_shapes(self) -> None:
+        """Channels must agree (or be 1), and batch axes must broadcast."""
+        channels = {n: t.shape[-1] for n, t, s in self.own_tensors() if s.size is None and t.shape[-1] != 1}
+        if len(set(channels.values())) > 1:
+            raise ValueError(f"{type(self).__name__}: colour parameters have different numbers of channels: {channels}; use one C, or 1")
+        shapes = {n: tuple(t.shape[:-1]) for n, t, _ in self.own_tensors()}
+        try:
+            torch.broadcast_shapes(*shapes.values())
+        except RuntimeError:
+            raise ValueError(f"{type(self).__name__}: batch shapes do not broadcast: {shapes}") from None
+
+    @classmethod
+    def params(cls) -> dict[str, Param]:
+        """The declared parameters, in order."""
+        return cls._params
+
+    def own_tensors(self) -> Iterator[tuple[str, Tensor, Param]]:
+        """(name, tensor, declaration) of every parameter that is present."""
+        for name, spec in self.params().items():
+            if isinstance(getattr(self, name), Tensor):
+                yield name, getattr(self, name), spec
+
+    def nested(self) -> Iterator["Value"]:
+        """The values that this value holds."""
+        for held in map(self.__getattribute__, self._fields):
+            yield from (v for v in (held if isinstance(held, tuple | list) else (held,)) if isinstance(v, Value))
+
+    @property
+    def batch_shape(self) -> torch.Size:
+        """Broadcast shape of all batch axes (everything but the trailing axis)."""
+        return torch.broadcast_shapes(*(t.shape[:-1] for _, t, _ in self.own_tensors()), *(v.batch_shape for v in self.nested()))
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+
+    def map(self, fn: Callable[[Tensor], Tensor]) -> Self:
+        """A copy with ``fn`` applied to every tensor."""
+        return pytree.tree_map_only(Tensor, fn, self)
+
+    def to(self, *args: Any, **kwargs: Any) -> Self:
+        """Like ``Tensor.to``; a floating dtype is applied to floating tensors only."""
+        device, dtype, non_blocking, _ = torch._C._nn._parse_to(*args, **kwargs)
+        return self.map(lambda t: t.to(device, dtype if t.is_floating_point() else None, non_blocking))
+
+    def detach(self) -> Self:
+        """A copy without gradient history."""
+        return self.map(Tensor.detach)
+
+    def __getitem__(self, index: Any) -> Self:
+        """Index the batch axes, those of nested values along with them; what has no batch axes stays."""
+        return self._index(index, self.batch_shape)
+
+    def _index(self, index: Any, batch: torch.Size) -> Self:
+        def pick(x: Any) -> Any:
+            if isinstance(x, Tensor):
+                return x.expand(*batch, x.shape[-1])[index] if x.dim() > 1 else x
+            return x._index(index, batch) if isinstance(x, Value) else tuple(map(pick, x)) if isinstance(x, tuple) else x
+
+        return _rebuild(type(self), {n: pick(getattr(self, n)) for n in self._fields})
+
+    def __repr__(self) -> str:
+        shown = ((n, getattr(self, n)) for n in self._fields)
+        return f"{type(self).__name__}({', '.join(f'{n}={_brief(v)}' for n, v in shown if v is not None)})"
+
+    def state(self) -> dict[str, Any]:
+        """Plain dictionaries and tensors, from which :func:`from_state` makes the value again."""
+
+        def plain(x: Any) -> Any:
+            return x.state() if isinstance(x, Value) else [plain(v) for v in x] if isinstance(x, tuple) else x
+
+        return {"value": type(self).__name__, "fields": {n: plain(getattr(self, n)) for n in self._fields}}
+
+    def save(self, path: str | Path) -> None:
+        """Write to a file that :func:`load_value` reads (tensors and plain data only; no code)."""
+        torch.save(self.detach().state(), path)
+
+
+def _shape_hint(t: Tensor, spec: Param) -> str:
+    return f"; did you mean x.unsqueeze(-1) -> {[*t.shape, 1]}?" if spec.size == 1 else ""
+
+
+def _brief(v: Any) -> str:
+    if isinstance(v, Tensor):
+        small = v.numel() <= 4 and v.dim() == 1 and not torch._C._functorch.is_functorch_wrapped_tensor(v) and v.device.type != "meta"
+        kind = str(v.dtype).removeprefix("torch.")
+        return str([round(x, 6) for x in v.tolist()]) if small else f"{kind}{list(v.shape)}"
+    return f"({', '.join(map(_brief, v))})" if isinstance(v, tuple) else repr(v)
+
+
+def _rebuild(cls: type[T], fields: dict[str, Any]) -> T:
+    """Make a value without its checks: transforms put index trees and placeholders where tensors stand."""
+    made = object.__new__(cls)
+    for name, held in fields.items():
+        object.__setattr__(made, name, held)
+    return made
+
+
+def _is_child(v: Value, name: str, held: Any) -> bool:
+    """Parameters are children whatever stands in them: transforms put axis numbers where tensors stood."""
+    return (name in v._params and held is not None) or has_tensors(held)
+
+
+def _flatten(v: Value) -> tuple[list[Any], tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]]:
+    fields = [(n, getattr(v, n)) for n in v._fields]
+    children = [(n, x) for n, x in fields if _is_child(v, n, x)]
+    static = tuple((n, x) for n, x in fields if not _is_child(v, n, x))
+    return [x for _, x in children], (tuple(n for n, _ in children), static)
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(param, dataclasses.field))
+def value(cls: type[T]) -> type[T]:
+    """Class decorator: a frozen dataclass that is its own pytree node, known by name for saving and loading."""
+    made = dataclasses.dataclass(frozen=True, eq=False, repr=False)(cls)
+    made._fields = tuple(f.name for f in dataclasses.fields(made))  # type: ignore[attr-defined]
+    made._params = {f.name: f.metadata["param"] for f in dataclasses.fields(made) if "param" in f.metadata}  # type: ignore[attr-defined]
+    pytree.register_pytree_node(
+        made,
+        _flatten,  # type: ignore[arg-type]
+        lambda children, context: _rebuild(made, {**dict(zip(context[0], children, strict=True)), **dict(context[1])}),
+        flatten_with_keys_fn=lambda v: (
+            [(pytree.GetAttrKey(n), getattr(v, n)) for n in _flatten(v)[1][0]],  # type: ignore[arg-type]
+            _flatten(v)[1],  # type: ignore[arg-type]
+        ),
+        serialized_type_name=f"torchbrdf.{cls.__name__}",
+    )
+    VALUES[cls.__name__] = made  # type: ignore[assignment]
+    return made
+
+
+def from_state(state: Any) -> Value:
+    """The value that :meth:`Value.state` described."""
+    if not (isinstance(state, dict) and state.get("value") in VALUES and isinstance(state.get("fields"), dict)):
+        found = state.get("value") if isinstance(state, dict) else type(state).__name__
+        raise ValueError(f"not a saved torchbrdf value: found {found!r}, expected one of {sorted(VALUES)}")
+
+    def build(x: Any) -> Any:
+        return from_state(x) if isinstance(x, dict) else tuple(build(v) for v in x) if isinstance(x, list) else x
+
+    try:
+        return VALUES[state["value"]](**{str(n): build(x) for n, x in state["fields"].items()})
+    except TypeError as error:
+        raise ValueError(f"saved {state['value']} does not fit this version: {error}") from None
+
+
+def load_value(path: str | Path) -> Value:
+    """Read a value that :meth:`Value.save` wrote. Runs no code from the file."""
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"load_value: no such file: {path}")
+    try:
+        state = torch.load(path, weights_only=True)
+    except Exception as error:
+        raise ValueError(f"load_value: {path} is not a saved torchbrdf value ({type(error).__name__}: {error})") from None
+    return from_state(state)
+
+
+def validate(v: Value, _path: str = "") -> None:
+    """Raise ``ValueError`` if any parameter of ``v``, or of a value inside it, is not finite or leaves its legal range."""
+    path = _path or type(v).__name__
+    for name, tensor, spec in v.own_tensors():
+        if tensor.numel() and spec.kind == "float" and tensor.device.type != "meta":
+            _check_range(f"{path}.{name}", tensor.detach(), spec.constraint)
+    for inner in v.nested():
+        validate(inner, f"{path} > {type(inner).__name__}")
+
+
+def _check_range(where: str, t: Tensor, legal: Interval) -> None:
+    low, high = (float(x) for x in torch.aminmax(t))
+    ends = torch.tensor([low, high], dtype=torch.float64)
+    if bool(legal.contains(ends).all()):
+        return
+    bad = ~legal.contains(t)
+    count, first = int(bad.sum()), float(t[bad][0])
+    raise ValueError(
+        f"{where} {list(t.shape)}: legal range {legal}, found {first:g}"
+        + (f" and {count - 1} more" if count > 1 else "")
+        + f" (min {low:g}, max {high:g}); clamp or re-parametrise it (tb.nn.Learned keeps a learned parameter legal)"
+    )

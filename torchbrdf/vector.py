@@ -1,0 +1,266 @@
+"""Directions as three components, the invariants a reflection model is written in, and the one door between frames.
+
+A direction is ``[..., 3]`` at the border and a tuple of three ``[...]`` tensors inside a formula. Memory is *planar*: the
+strides of ``[..., 3]`` are those of ``[3, ...]``, so that each component is one contiguous run and a compiler can fuse the
+whole formula. Take apart with :func:`components` (``unbind``), put together with :func:`stack`; never index ``x[..., i]``,
+whose backward scatters into zeros and doubles the time.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from . import numerics
+
+
+class Vec(NamedTuple):
+    """Three components ``[...]`` of directions, positions or normals."""
+
+    x: Tensor
+    y: Tensor
+    z: Tensor
+
+
+def components(v: Tensor) -> Vec:
+    """``[..., 3]`` -> three ``[...]``."""
+    return Vec(*v.unbind(-1))
+
+
+def stack(parts: Sequence[Tensor]) -> Tensor:
+    """k tensors ``[...]`` -> planar ``[..., k]`` (shape ``[..., k]``, strides of ``[k, ...]``)."""
+    return torch.stack(torch.broadcast_tensors(*parts), 0).movedim(0, -1)
+
+
+def planar(v: Tensor) -> Tensor:
+    """The same ``[..., k]`` values in planar memory (no copy where they already are)."""
+    return v.movedim(-1, 0).contiguous().movedim(0, -1)
+
+
+def is_planar(v: Tensor) -> bool:
+    """Whether each component of ``v [..., k]`` is one contiguous run of memory."""
+    return v.movedim(-1, 0).is_contiguous()
+
+
+def dot(a: Vec, b: Vec) -> Tensor:
+    """Inner product ``[...]``."""
+    return a.x * b.x + a.y * b.y + a.z * b.z
+
+
+def cross(a: Vec, b: Vec) -> Vec:
+    """Vector product."""
+    return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+
+
+def add(a: Vec, b: Vec) -> Vec:
+    """a + b."""
+    return Vec(a.x + b.x, a.y + b.y, a.z + b.z)
+
+
+def subtract(a: Vec, b: Vec) -> Vec:
+    """a - b."""
+    return Vec(a.x - b.x, a.y - b.y, a.z - b.z)
+
+
+def scale(a: Vec, s: Tensor | float) -> Vec:
+    """s a."""
+    return Vec(a.x * s, a.y * s, a.z * s)
+
+
+def direction_and_length(v: Vec) -> tuple[Vec, Tensor]:
+    """Unit vector and length, without overflow or underflow: the largest component is divided out first.
+
+    A zero or non-finite vector gives direction 0 and length 0, both with gradient 0.
+    """
+    largest = torch.maximum(torch.maximum(v.x.abs(), v.y.abs()), v.z.abs()).detach()
+    usable = (largest > 0) & torch.isfinite(largest)
+    divisor = torch.where(usable, largest, 1.0)
+    u = Vec(*(torch.where(usable, c, 0.0) / divisor for c in v))
+    length = torch.sqrt(torch.where(usable, dot(u, u), 1.0))
+    return Vec(u.x / length, u.y / length, u.z / length), torch.where(usable, length * divisor, 0.0)
+
+
+def normalize_components(v: Vec) -> Vec:
+    """Unit vector; zero and non-finite vectors give 0 with gradient 0."""
+    return direction_and_length(v)[0]
+
+
+def normalize(v: Tensor) -> Tensor:
+    """``[..., 3]`` to unit length; zero and non-finite vectors become 0 with gradient 0."""
+    return stack(normalize_components(components(v)))
+
+
+def reflect_components(w: Vec, n: Vec) -> Vec:
+    """``2 (n.w) n - w``."""
+    twice = 2.0 * dot(n, w)
+    return Vec(twice * n.x - w.x, twice * n.y - w.y, twice * n.z - w.z)
+
+
+def reflect(w: Tensor, n: Tensor) -> Tensor:
+    """Mirror direction ``2 (n.w) n - w`` of ``w [..., 3]`` (pointing away from the surface) about the unit normal ``n [..., 3]``."""
+    return stack(reflect_components(components(w), components(n)))
+
+
+def refract(w: Tensor, n: Tensor, eta: Tensor | float) -> tuple[Tensor, Tensor]:
+    """Direction of ``w [..., 3]`` after refraction, by Snell's law, and whether there is one.
+
+    ``w`` and ``n`` are unit and point away from the surface, on either side of it; ``eta [..., 1]`` is
+    n(far side of w) / n(side of w), > 0. Returns ``wt [..., 3]``, on the far side, and ``valid [..., 1]`` (bool). Under total
+    internal reflection ``wt`` is 0 with gradient 0. Source: Heckbert 1989 in the ``g`` form of Cook & Torrance 1982,
+    which stays accurate at the critical angle. Not smooth at that angle (true slope -inf just outside, 0 inside).
+    """
+    wc, nc = components(w), components(n)
+    ratio = torch.as_tensor(eta, dtype=w.dtype, device=w.device)
+    ratio = ratio[..., 0] if ratio.dim() else ratio
+    cos_i = dot(wc, nc)
+    g2 = numerics.eta2_minus_sin2(cos_i, ratio)
+    valid = g2 > 0
+    along_normal = cos_i - torch.where(cos_i < 0, -1.0, 1.0) * numerics.safe_sqrt(g2)
+    bent = (torch.where(valid, (along_normal * nk - wk) / ratio, 0.0) for wk, nk in zip(wc, nc, strict=True))
+    return stack(tuple(bent)), valid.unsqueeze(-1)
+
+
+class Frame(NamedTuple):
+    """Orthonormal axes ``[..., 3]`` of a shading point: ``normal`` is local z, ``tangent`` is local x."""
+
+    tangent: Tensor
+    bitangent: Tensor
+    normal: Tensor
+
+    @staticmethod
+    def from_normal(n: Tensor, tangent: Tensor | None = None) -> "Frame":
+        """Frame about the unit normal ``n [..., 3]``, turned so that x lies along ``tangent [..., 3]`` where one is given.
+
+        Without a tangent: Duff et al. 2017 (eq. 4, with copysign), accurate to 1.3 eps for every n; its x axis jumps where
+        n.z changes sign. A tangent that is zero or parallel to n falls back to it.
+        """
+        axes = frame_components(components(n), None if tangent is None else components(tangent))
+        return Frame(*(stack(a) for a in axes))
+
+    def to_local(self, w: Tensor) -> Tensor:
+        """World ``w [..., 3]`` -> local."""
+        wc = components(w)
+        return stack([dot(components(a), wc) for a in self])
+
+    def to_world(self, w: Tensor) -> Tensor:
+        """Local ``w [..., 3]`` -> world."""
+        return stack(combine(tuple(components(a) for a in self), components(w)))
+
+
+def combine(axes: Sequence[Vec], w: Vec) -> Vec:
+    """``w.x axes[0] + w.y axes[1] + w.z axes[2]``."""
+    return add(add(scale(axes[0], w.x), scale(axes[1], w.y)), scale(axes[2], w.z))
+
+
+def frame_components(n: Vec, tangent: Vec | None = None) -> tuple[Vec, Vec, Vec]:
+    """Axes (x, y, z = n) of :class:`Frame`."""
+    sign = torch.copysign(torch.ones_like(n.z), n.z)
+    a = -1.0 / (sign + n.z)
+    b = n.x * n.y * a
+    x = Vec(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x)
+    if tangent is not None:
+        along = normalize_components(subtract(tangent, scale(n, dot(tangent, n))))
+        given = dot(along, along) > 0
+        x = Vec(*(torch.where(given, t, d) for t, d in zip(along, x, strict=True)))
+    return x, cross(n, x), n
+
+
+def each(formula: Callable[..., Tensor], *colours: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """Map a formula over channels; a colour with a single channel serves them all."""
+    count = max(map(len, colours))
+    return tuple(formula(*(c[k] if len(c) > 1 else c[0] for c in colours)) for k in range(count))
+
+
+def memo(compute: Callable[[Any], Any]) -> property:
+    """A property computed once per object. (``functools.cached_property`` takes a lock, which breaks full graphs on 3.11.)"""
+    name = compute.__name__
+
+    def get(self: Any) -> Any:
+        if name not in self._memo:
+            self._memo[name] = compute(self)
+        return self._memo[name]
+
+    return property(get, doc=compute.__doc__)
+
+
+class Geometry:
+    """The invariants of unit directions ``wi`` (to the light), ``wo`` (to the viewer) and normal ``n`` that formulas share.
+
+    Each is ``[...]``, computed when first asked for and never twice, so that all lobes of a sum use one set and none pays
+    for what it does not need. Isotropic models never build a frame. ``wide`` says how colours are laid out: False takes
+    them apart into single channels (fastest for a few), True keeps them as one ``[..., C]`` tensor against which the
+    components carry a trailing 1.
+    """
+
+    def __init__(self, wi: Vec, wo: Vec, n: Vec, tangent: Vec | None = None, wide: bool = False) -> None:
+        self.wi, self.wo, self.n, self.tangent, self.wide = wi, wo, n, tangent, wide
+        self._memo: dict[str, Any] = {}
+
+    @staticmethod
+    def of_cosine(cos: Tensor) -> "Geometry":
+        """A stand-in for formulas of one cosine ``[...]``, which need the layout alone."""
+        up = Vec(torch.zeros_like(cos), torch.zeros_like(cos), cos)
+        return Geometry(up, up, up)
+
+    def wo_local(self) -> Vec:
+        """A direction with the polar angle of ``wo`` in the local frame, for what depends on that angle alone."""
+        cos = numerics.unit_interval(self.cos_o)
+        return Vec(numerics.safe_sqrt((1.0 - cos) * (1.0 + cos)), torch.zeros_like(cos), cos)
+
+    def colour(self, parameter: Tensor) -> tuple[Tensor, ...]:
+        """A parameter ``[..., C]`` as the channels that a formula maps over."""
+        p = numerics.widen(parameter)
+        return (p,) if self.wide else p.unbind(-1)
+
+    def scalar(self, parameter: Tensor) -> Tensor:
+        """A parameter ``[..., 1]`` in the shape of the invariants."""
+        p = numerics.widen(parameter)
+        return p if self.wide else p.squeeze(-1)
+
+    @memo
+    def cos_i(self) -> Tensor:
+        """n.wi"""
+        return dot(self.n, self.wi)
+
+    @memo
+    def cos_o(self) -> Tensor:
+        """n.wo"""
+        return dot(self.n, self.wo)
+
+    @memo
+    def lit(self) -> Tensor:
+        """Both directions strictly above the horizon (bool)."""
+        return (self.cos_i > 0) & (self.cos_o > 0)
+
+    @memo
+    def half(self) -> Vec:
+        """wi + wo, not normalised."""
+        return add(self.wi, self.wo)
+
+    @memo
+    def half2(self) -> Tensor:
+        """|wi + wo|^2, 0 where the two are opposite and there is no half vector."""
+        return dot(self.half, self.half)
+
+    @memo
+    def wi_h(self) -> Tensor:
+        """wi.h = wo.h = |wi + wo| / 2, in [0, 1]; gradient 0 where there is no half vector."""
+        return 0.5 * numerics.safe_sqrt(self.half2)
+
+    @memo
+    def cos_h(self) -> Tensor:
+        """n.h, 0 where there is no half vector."""
+        return dot(self.n, self.half) * numerics.reciprocal_or_zero(2.0 * self.wi_h)
+
+    @memo
+    def sin2_h(self) -> Tensor:
+        """|n x h|^2 by the cross product: no cancellation near the mirror direction."""
+        c = cross(self.n, self.half)
+        return dot(c, c) * numerics.reciprocal_or_zero(self.half2)
+
+    @memo
+    def mirror_complement(self) -> Tensor:
+        """1 - wi.R(wo) as half the squared distance |R(wo) - wi|^2 / 2, accurate near the mirror direction."""
+        d = subtract(scale(self.n, 2.0 * self.cos_o), self.half)
+        return 0.5 * dot(d, d)
