@@ -12,7 +12,7 @@ __version__ = "0.1.0"
 # Where each public name lives. (No public function bears a module's name: tb.plan lives in planning.py.)
 _HOME = {
     "vector": ("Frame", "Geometry", "normalize", "reflect", "refract", "is_planar", "planar"),
-    "value": ("Interval", "Value", "load_value", "param", "validate", "value"),
+    "value": ("Interval", "Value", "load_value", "param", "validate"),
     "pictures": ("read_image", "save_image"),
     "optics.fresnel": ("Conductor", "Dielectric", "Fresnel", "Schlick"),
     "bsdf.base": ("Bsdf", "BSDFSample", "Lobe"),
