@@ -29,7 +29,7 @@ _HOME = {
     "scene.camera": ("Camera",),
     "scene.gbuffer": ("GBuffer",),
     "scene.visibility": ("visibility",),
-    "planning": ("Plan", "ShadingWarning", "plan", "shade"),
+    "planning": ("Plan", "plan", "shade"),
     "compiling": ("compile",),
 }
 _MODULES = {"fresnel": "optics.fresnel", "nn": "nn", "testing": "testing"}

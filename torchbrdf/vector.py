@@ -193,9 +193,11 @@ class Geometry:
     components carry a trailing 1.
     """
 
-    def __init__(self, wi: Vec, wo: Vec, n: Vec, tangent: Vec | None = None, wide: bool = False) -> None:
+    def __init__(
+        self, wi: Vec, wo: Vec, n: Vec, tangent: Vec | None = None, wide: bool = False, known: dict[str, Tensor] | None = None
+    ) -> None:
         self.wi, self.wo, self.n, self.tangent, self.wide = wi, wo, n, tangent, wide
-        self._memo: dict[str, Any] = {}
+        self._memo: dict[str, Any] = dict(known or {})
 
     @staticmethod
     def of_cosine(cos: Tensor) -> "Geometry":

@@ -66,6 +66,10 @@ class Bsdf(Value):
     def formula(self, g: Geometry) -> Channels:
         """f in 1/sr per channel, finite for every pair of directions; the caller masks the horizon."""
 
+    def mirror_reflectance(self, g: Geometry) -> Channels:
+        """What the mirror lobes reflect at ``g.cos_o``, per channel: the weight of their sample."""
+        return (torch.zeros_like(g.cos_o),)
+
     @abstractmethod
     def density(self, g: Geometry) -> Tensor:
         """pdf ``[...]`` of ``wi`` given ``wo``, 0 for delta lobes."""

@@ -49,6 +49,9 @@ class Sum(Bsdf):
     def formula(self, g: Geometry) -> Channels:
         return _total([t.formula(g) for t in self.terms])
 
+    def mirror_reflectance(self, g: Geometry) -> Channels:
+        return _total([t.mirror_reflectance(g) for t in self.terms])
+
     def density(self, g: Geometry) -> Tensor:
         shares = self._shares(g.wo_local(), g.wide)
         return sum((p * t.density(g) for p, t in zip(shares, self.terms, strict=True)), torch.zeros_like(g.cos_i))
@@ -121,6 +124,9 @@ class Scaled(Bsdf):
 
     def formula(self, g: Geometry) -> Channels:
         return each(lambda f, k: f * k, self.inner.formula(g), g.colour(self.factor))
+
+    def mirror_reflectance(self, g: Geometry) -> Channels:
+        return each(lambda r, k: r * k, self.inner.mirror_reflectance(g), g.colour(self.factor))
 
     def density(self, g: Geometry) -> Tensor:
         return self.inner.density(g)

@@ -49,6 +49,9 @@ class Mirror(Bsdf):
         weight = self.reflectance(Geometry(wi, wo, wo, None, wide), wi.z)
         return Draw(wi, weight, one, torch.zeros_like(one, dtype=torch.int64))
 
+    def mirror_reflectance(self, g: Geometry) -> Channels:
+        return self.reflectance(g, g.cos_o)
+
     def reflectance(self, g: Geometry, cos: Tensor) -> Channels:
         """``tint F(cos)`` per channel."""
         tint = g.colour(self.tint)

@@ -1,0 +1,42 @@
+r"""Point lights: radiant intensity, falling off with the square of the distance.
+
+.. math:: E = I / r^2 \quad\text{on a plane facing the light}
+
+=========  ===================  ================================
+parameter  unit, range          meaning
+=========  ===================  ================================
+position   [L, 3], any          where the lights are
+intensity  [L, C] >= 0, W/sr    radiant intensity, per channel
+=========  ===================  ================================
+
+A point that coincides with a light receives nothing from it (gradient 0). Source: Lambert 1760.
+"""
+
+from collections.abc import Iterator
+
+from torch import Tensor
+
+from .. import numerics, vector
+from ..value import NONNEGATIVE, REAL, param, value
+from ..vector import Vec
+from .base import Arrival, LocalLight, channels
+
+
+@value
+class PointLight(LocalLight):
+    """L point lights at ``position [L, 3]`` of radiant ``intensity [L, C]``."""
+
+    position: Tensor = param(REAL, 3, "where the lights are")
+    intensity: Tensor = param(NONNEGATIVE, None, "radiant intensity, W/sr")
+
+    def arrivals(self, points: Vec, wide: bool) -> Iterator[Arrival]:
+        for position, intensity in self.rows(points.x):
+            towards = vector.subtract(Vec(*position.unbind(-1)), points)
+            wi, distance = vector.direction_and_length(towards)
+            yield Arrival(wi, numerics.reciprocal_or_zero(distance * distance), channels(intensity, wide))
+
+    def shadow_targets(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        lead = (len(self),) + (1,) * (points.dim() - 1)
+        position = self.position.to(points).expand(len(self), 3).reshape(*lead, 3)
+        wi, distance = vector.direction_and_length(vector.components(position - points))
+        return vector.stack(wi), distance.unsqueeze(-1)

@@ -1,0 +1,192 @@
+"""What this scene calls for: which effects exist, and why. The plan is static; it holds no tensor, no ray caster, no file.
+
+``shade`` is plan-and-run in one call. Deciding happens at construction, from the kinds of lobes, lights and geometry alone and
+never from data inside a graph, so a planned shader compiles to one full graph and leaves no learned parameter unused.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from . import vector
+from .bsdf.base import Bsdf, Channels, check_same_kind, join
+from .effects import base, direct, mirror, shadow
+from .light.base import Light, LocalLight
+from .light.environment import EnvironmentMap
+from .scene.gbuffer import GBuffer
+from .scene.mesh import Mesh
+from .value import validate
+from .vector import each
+
+Lights = Light | Sequence[Light]
+EFFECTS = {"direct": (direct.direct, direct.LOBES), "mirror": (mirror.mirror, mirror.LOBES)}
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One line of a plan."""
+
+    effect: str
+    on: bool
+    why: str
+
+    def __str__(self) -> str:
+        return f"  {self.effect:<12} {'on ' if self.on else 'off'}  {self.why}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The effects that a scene calls for. Call it with the scene; print it to read why."""
+
+    decisions: tuple[Decision, ...]
+
+    def calls_for(self, effect: str) -> bool:
+        """Whether an effect is on."""
+        return any(d.on for d in self.decisions if d.effect == effect)
+
+    def __str__(self) -> str:
+        return "\n".join(["plan", *map(str, self.decisions)])
+
+    def __call__(
+        self, g: GBuffer, bsdf: Bsdf, lights: Lights, *, mesh: Mesh | None = None, visibility: Tensor | None = None, per_light: bool = False
+    ) -> Tensor:
+        """Radiance ``[..., H, W, C]`` towards the viewer, planar; ``per_light=True``: ``[L, ..., H, W, C]``, not summed.
+
+        Shadows come from ``visibility [L, ..., H, W, 1]`` where it is given, else from ``mesh``.
+        """
+        sources = as_list(lights)
+        check_same_kind(bsdf, g.position, "the G-buffer's position")
+        shadows = self._shadows(g, sources, mesh, visibility)
+        surface = base.Surface.of(g, bsdf.is_wide)
+        rows: list[Channels | None] = [None] * sum(map(len, sources))
+        for name, (effect, lobes) in EFFECTS.items():
+            part = bsdf.select(lobes) if self.calls_for(name) else None
+            if part is not None:
+                for row, radiance in effect(part, surface, sources, shadows):
+                    rows[row] = radiance if rows[row] is None else each(torch.add, rows[row], radiance)
+        return _assemble(rows, surface, bsdf, per_light).to(g.position.dtype)
+
+    def _shadows(self, g: GBuffer, lights: Sequence[Light], mesh: Mesh | None, visibility: Tensor | None) -> Tensor | None:
+        if not self.calls_for("shadow"):
+            return None
+        if visibility is not None:
+            return shadow.check(visibility, lights, g)
+        if mesh is None:
+            raise ValueError("mesh: the plan casts shadows; pass mesh=... or visibility=tb.visibility(g, lights, mesh), or plan without a mesh")
+        return shadow.cast(g, lights, mesh)
+
+
+def _assemble(rows: Sequence[Channels | None], surface: base.Surface, bsdf: Bsdf, per_light: bool) -> Tensor:
+    dark: Channels = (torch.zeros_like(surface.cos_o),) * (1 if surface.wide else bsdf.channels)
+    if per_light:
+        return torch.stack([join(each(torch.add, dark, r) if r is not None else dark, surface.wide) for r in rows])
+    lit = [r for r in rows if r is not None]
+    total = lit[0] if lit else dark
+    for r in lit[1:]:
+        total = each(torch.add, total, r)
+    return join(total, surface.wide)
+
+
+def as_list(lights: Lights) -> list[Light]:
+    """One light or a list of them, as a list."""
+    found = [lights] if isinstance(lights, Light) else list(lights)
+    for k, light in enumerate(found):
+        if not isinstance(light, Light):
+            raise TypeError(f"lights[{k}]: expected a light such as tb.PointLight(position, intensity), found {type(light).__name__}")
+    if not found:
+        raise ValueError("lights: found none; pass at least one, such as tb.DirectionalLight([0, 0, 1], 1.0)")
+    return found
+
+
+def plan(
+    g: GBuffer, bsdf: Bsdf, lights: Lights, mesh: Mesh | None = None, tolerance: float | None = None, *, visibility: Tensor | None = None, shadow: str = "auto"
+) -> Plan:
+    """Decide which effects this scene calls for, after checking every parameter's range.
+
+    ``shadow="off"`` leaves cast shadows out even where a mesh is given. ``tolerance``: every law of this version is exact, so
+    None is the only legal value.
+    """
+    if tolerance is not None:
+        raise ValueError(f"tolerance: found {tolerance!r}; every law of this version is computed exactly, so leave it None")
+    if shadow not in ("auto", "off"):
+        raise ValueError(f"shadow: found {shadow!r}, legal are 'auto' and 'off'")
+    sources = as_list(lights)
+    for checked in (bsdf, *sources):
+        validate(checked)
+    _check_shapes(g, bsdf)
+    can_shadow = (mesh is not None or visibility is not None) and shadow == "auto"
+    local = sum(len(s) for s in sources if isinstance(s, LocalLight))
+    environments = sum(isinstance(s, EnvironmentMap) for s in sources)
+    return Plan((_direct(bsdf, local), _shadow(bsdf, local, can_shadow, shadow), _mirror(bsdf, environments), *_not_simulated(bsdf, environments)))
+
+
+def shade(
+    g: GBuffer,
+    bsdf: Bsdf,
+    lights: Lights,
+    *,
+    mesh: Mesh | None = None,
+    visibility: Tensor | None = None,
+    shadow: str = "auto",
+    per_light: bool = False,
+) -> Tensor:
+    """Radiance ``[..., H, W, C]`` of a G-buffer: :func:`plan` and run in one call. ``mesh=`` lets that mesh cast shadows."""
+    found = plan(g, bsdf, lights, mesh, visibility=visibility, shadow=shadow)
+    return found(g, bsdf, lights, mesh=mesh, visibility=visibility, per_light=per_light)
+
+
+def _check_shapes(g: GBuffer, bsdf: Bsdf) -> None:
+    g.require_view()
+    pixels = g.position.shape[:-1]
+    try:
+        fits = torch.broadcast_shapes(pixels, bsdf.batch_shape) == pixels
+    except RuntimeError:
+        fits = False
+    if not fits:
+        raise ValueError(
+            f"bsdf: parameters of batch shape {list(bsdf.batch_shape)} do not fit a G-buffer of {list(pixels)}; "
+            "give parameters [C] or [H, W, C], or look textures up with tb.nn.Texture"
+        )
+
+
+def _names(bsdf: Bsdf, delta: bool) -> str:
+    return ", ".join(sorted({lobe.value for lobe in bsdf.lobes if lobe.is_delta == delta}))
+
+
+def _direct(bsdf: Bsdf, local: int) -> Decision:
+    lobes = _names(bsdf, delta=False)
+    if not lobes:
+        return Decision("direct", False, "the material has delta lobes alone, and those never meet a point or a direction")
+    if not local:
+        return Decision("direct", False, "no point or directional light")
+    return Decision("direct", True, f"{lobes} under {local} point or directional light{'s' * (local > 1)}: a sum, exact")
+
+
+def _shadow(bsdf: Bsdf, local: int, possible: bool, wish: str) -> Decision:
+    if not (local and _names(bsdf, delta=False)):
+        return Decision("shadow", False, "no direct light to be blocked")
+    if wish == "off":
+        return Decision("shadow", False, "switched off by shadow='off'")
+    if not possible:
+        return Decision("shadow", False, "no mesh to cast them; pass mesh= or visibility=")
+    return Decision("shadow", True, "a mesh (or a visibility) is given: one ray per pixel and light, outside the graph, no gradient")
+
+
+def _mirror(bsdf: Bsdf, environments: int) -> Decision:
+    if not _names(bsdf, delta=True):
+        return Decision("mirror", False, "no mirror lobe")
+    if not environments:
+        return Decision("mirror", False, "no environment to be seen in the mirror; points and directions are met with probability 0")
+    return Decision("mirror", True, "mirror reflection of the environment map: one look-up, exact; the mesh itself is not reflected")
+
+
+def _not_simulated(bsdf: Bsdf, environments: int) -> list[Decision]:
+    lobes = _names(bsdf, delta=False)
+    if environments and lobes:
+        raise ValueError(
+            f"lights: an EnvironmentMap lights mirror lobes alone in this version, and the material also has {lobes}; "
+            "shade the two parts apart: tb.shade(g, mirror_part, environment) + tb.shade(g, other_part, point_lights)"
+        )
+    return []
