@@ -1,0 +1,22 @@
+"""A shader: a material and a plan, from G-buffer to radiance in one module."""
+
+from torch import Tensor, nn
+
+from ..planning import Lights, Plan
+from ..scene.gbuffer import GBuffer
+
+
+class Shader(nn.Module):
+    """``shader(g, lights, visibility=None) -> radiance``.
+
+    The plan is made beforehand (``tb.plan(g, material(g), lights, mesh)``), so that the effects do not depend on data:
+    compiles to one full graph (``tb.compile(shader)``), runs under ``vmap``, ``functional_call`` and DDP.
+    """
+
+    def __init__(self, material: nn.Module, plan: Plan) -> None:
+        super().__init__()
+        self.material, self.plan = material, plan
+
+    def forward(self, g: GBuffer, lights: Lights, visibility: Tensor | None = None, per_light: bool = False) -> Tensor:
+        """Radiance ``[..., H, W, C]`` (``per_light=True``: ``[L, ..., H, W, C]``)."""
+        return self.plan(g, self.material(g), lights, visibility=visibility, per_light=per_light)
