@@ -1,0 +1,177 @@
+"""Pinhole cameras, batched and differentiable in pose and intrinsics.
+
+Pixel centres lie at +1/2, (0, 0) is the top left corner of the image, x runs right and y down. A camera holds its axes in
+the world, so that no convention is left to guess once it is made:
+
+==============  ==============================================================
+convention      camera axes of ``world_to_camera``
+==============  ==============================================================
+``"opencv"``    x right, y down, looks along +z (also COLMAP)
+``"opengl"``    x right, y up, looks along -z
+``"blender"``   the axes of Blender's camera objects, which are OpenGL's
+==============  ==============================================================
+
+>>> import torchbrdf as tb
+>>> tb.Camera.look_at([0.0, 0.0, 3.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], fov_y=35.0, size=(4, 6)).rays()[1].shape
+torch.Size([4, 6, 3])
+"""
+
+import math
+from typing import Any, Self
+
+import torch
+from torch import Tensor
+
+from .. import vector
+from ..value import REAL, Interval, Value, param, value
+from ..vector import Vec, components, cross, dot, stack
+
+FOCAL = Interval(0.0, open_low=True, typical=(10.0, 1000.0))
+# Sign of the camera's y and z axes beside (down, forward).
+CONVENTIONS = {"opencv": 1.0, "opengl": -1.0, "blender": -1.0}
+
+
+@value
+class Camera(Value):
+    """A pinhole camera: ``origin``, unit axes ``right``, ``down``, ``forward``, ``focal`` and ``principal`` in pixels (x, y)."""
+
+    origin: Tensor = param(REAL, 3, "centre of projection, world units")
+    right: Tensor = param(REAL, 3, "unit, along +x of the image")
+    down: Tensor = param(REAL, 3, "unit, along +y of the image")
+    forward: Tensor = param(REAL, 3, "unit, into the scene")
+    focal: Tensor = param(FOCAL, 2, "focal lengths (x, y), pixels")
+    principal: Tensor = param(REAL, 2, "principal point (x, y), pixels from the top left corner")
+    size: tuple[int, int] = (256, 256)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "size", _image_size(self.size))
+
+    @staticmethod
+    def look_at(eye: Any, target: Any, up: Any, fov_y: Any = 35.0, size: tuple[int, int] = (256, 256)) -> "Camera":
+        """Camera at ``eye [..., 3]`` that looks at ``target [..., 3]`` with ``up [..., 3]`` upwards in the image.
+
+        ``fov_y`` is the full vertical field of view in degrees, a number or ``[..., 1]``, in (0, 180); ``size`` is (height, width);
+        pixels are square. Not smooth (an error where values can be seen) for ``eye == target`` and for ``up`` along the view.
+        """
+        eye, target, up = (_floats(x, name) for x, name in ((eye, "eye"), (target, "target"), (up, "up")))
+        forward = vector.normalize_components(vector.subtract(components(target), components(eye)))
+        right = vector.normalize_components(cross(forward, components(up)))
+        _check_look_at(stack(forward), stack(right))
+        height, width = _image_size(size)
+        angle = _floats(fov_y, "fov_y").to(eye.device)
+        if not _all((angle > 0) & (angle < 180)):
+            raise ValueError(
+                f"look_at: fov_y is the full vertical angle in degrees and lies in (0, 180), found {angle.detach().flatten()[:4].tolist()}"
+            )
+        focal = (0.5 * height) / torch.tan(angle * (math.pi / 360.0))
+        centre = torch.tensor([0.5 * width, 0.5 * height], dtype=eye.dtype, device=eye.device)
+        return Camera(
+            eye, stack(right), stack(cross(forward, right)), stack(forward), focal.expand(*focal.shape[:-1], 2), centre, (height, width)
+        )
+
+    @staticmethod
+    def from_matrix(K: Any, world_to_camera: Any, size: tuple[int, int], convention: str = "opencv") -> "Camera":
+        """Camera from intrinsics ``K [..., 3, 3]`` (pixels, no skew) and extrinsics ``world_to_camera [..., 4, 4]`` or ``[..., 3, 4]``.
+
+        ``convention`` names the camera axes: "opencv", "opengl" or "blender" (above). K always counts pixels from the top left
+        *corner*; a calibration that puts (0, 0) at the centre of the first pixel, as OpenCV's does, needs +0.5 on cx and cy.
+        """
+        if convention not in CONVENTIONS:
+            raise ValueError(f"from_matrix: unknown convention {convention!r}, legal are {sorted(CONVENTIONS)}")
+        k, pose = _floats(K, "K"), _floats(world_to_camera, "world_to_camera")
+        _check_matrices(k, pose)
+        sign = CONVENTIONS[convention]
+        x, y, z = (row[..., :3] for row in pose[..., :3, :].unbind(-2))
+        tx, ty, tz = pose[..., :3, 3].unbind(-1)
+        origin = vector.combine(tuple(components(-a) for a in (x, y, z)), Vec(tx, ty, tz))
+        kx, ky = k[..., 0, :].unbind(-1), k[..., 1, :].unbind(-1)
+        return Camera(stack(origin), x, sign * y, sign * z, stack((kx[0], ky[1])), stack((kx[2], ky[2])), size)
+
+    def rays(self) -> tuple[Tensor, Tensor]:
+        """Origin ``[..., 1, 1, 3]`` and unit directions ``[..., H, W, 3]`` (planar) through the pixel centres."""
+        height, width = self.size
+        dtype, device = self.forward.dtype, self.forward.device
+        fx, fy = (c[..., None, None] for c in self.focal.unbind(-1))
+        cx, cy = (c[..., None, None] for c in self.principal.unbind(-1))
+        x = (torch.arange(width, dtype=dtype, device=device) + 0.5 - cx) / fx
+        y = ((torch.arange(height, dtype=dtype, device=device) + 0.5).unsqueeze(-1) - cy) / fy
+        right, down, forward = (Vec(*(c[..., None, None] for c in components(a))) for a in (self.right, self.down, self.forward))
+        towards = vector.add(forward, vector.add(vector.scale(right, x), vector.scale(down, y)))
+        direction = stack(vector.normalize_components(towards))
+        return self.origin[..., None, None, :], direction
+
+    def project(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """``points [..., 3]`` -> pixel coordinates ``[..., 2]`` (x, y) and depth ``[..., 1]`` along ``forward``.
+
+        The batch axes of the camera are the leading ones of ``points``. Points with depth <= 0 lie behind the camera; at
+        depth 0 the pixel is not finite.
+        """
+        batch = len(self.batch_shape)
+        extra = max(points.dim() - 1 - batch, 0)
+
+        def widen(t: Tensor) -> Vec | tuple[Tensor, ...]:
+            return tuple(c.reshape(c.shape + (1,) * extra) if c.dim() else c for c in t.unbind(-1))
+
+        offset = vector.subtract(components(points), Vec(*widen(self.origin)))
+        x, y, z = (dot(Vec(*widen(a)), offset) for a in (self.right, self.down, self.forward))
+        (fx, fy), (cx, cy) = widen(self.focal), widen(self.principal)
+        return stack((cx + fx * x / z, cy + fy * y / z)), z.unsqueeze(-1)
+
+    def to_double(self, device: torch.device) -> Self:
+        """The same camera in float64 on ``device``."""
+        return self.to(device, torch.float64)
+
+
+def _image_size(size: Any) -> tuple[int, int]:
+    try:
+        sides = tuple(int(s) for s in size)
+        whole = all(a == b for a, b in zip(sides, size, strict=True))
+    except (TypeError, ValueError):
+        sides, whole = (), False
+    if len(sides) != 2 or not whole or min(sides) < 1:
+        raise ValueError(f"Camera.size: expected (height, width), two positive whole numbers, found {size!r}")
+    return sides
+
+
+def _floats(x: Any, name: str) -> Tensor:
+    try:
+        t = x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=None if hasattr(x, "dtype") else torch.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise TypeError(f"{name}: expected numbers, an array or a tensor, found {type(x).__name__} ({error})") from None
+    t = t if t.is_floating_point() else t.to(torch.float64)
+    if name in ("eye", "target", "up") and t.shape[-1:] != (3,):
+        raise ValueError(f"look_at: {name}: expected shape [..., 3], found {list(t.shape)}")
+    return t.reshape(1) if t.dim() == 0 else t
+
+
+def _all(condition: Tensor) -> bool:
+    """Whether a condition holds everywhere; True where values cannot be looked at (inside transforms and graphs)."""
+    hidden = torch.compiler.is_compiling() or torch._C._functorch.is_functorch_wrapped_tensor(condition)
+    return hidden or bool(condition.all())
+
+
+def _check_look_at(forward: Tensor, right: Tensor) -> None:
+    if not _all(forward.ne(0).any(-1)):
+        raise ValueError(
+            "look_at: eye and target are the same point (or not finite), so there is no direction to look in; move one of them"
+        )
+    if not _all(right.ne(0).any(-1)):
+        raise ValueError("look_at: up is zero or points along the view, so the image has no upright; choose another up")
+
+
+def _check_matrices(k: Tensor, pose: Tensor) -> None:
+    if k.shape[-2:] != (3, 3):
+        raise ValueError(f"from_matrix: K: expected shape [..., 3, 3], found {list(k.shape)}")
+    if pose.shape[-2:] not in ((4, 4), (3, 4)):
+        raise ValueError(f"from_matrix: world_to_camera: expected shape [..., 4, 4] or [..., 3, 4], found {list(pose.shape)}")
+    if not _all(k[..., 0, 1] == 0):
+        raise ValueError("from_matrix: K has skew (K[0, 1] is not 0), which this camera lacks; undistort the images to square axes")
+    turn = pose[..., :3, :3].detach()
+    unit = turn @ turn.transpose(-1, -2) - torch.eye(3, dtype=turn.dtype, device=turn.device)
+    # Matrices come from text files with about half the digits of float32.
+    if not _all(unit.abs() < math.sqrt(torch.finfo(torch.float32).eps)) or not _all(torch.linalg.det(turn) > 0):
+        raise ValueError(
+            "from_matrix: the upper 3x3 of world_to_camera is not a rotation; take the scale (or the mirroring) out of it, "
+            "and pass world-to-camera, not K @ [R|t]"
+        )

@@ -1,0 +1,94 @@
+"""Triangle meshes: values of tensors, with the ray caster kept outside of them.
+
+To optimise geometry, ``mesh.replace(vertices=leaf, normals=None)``: shading normals then follow the vertices.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..value import REAL, Interval, Value, param, value
+from .vertex_normals import angle_weighted
+
+INDEX = Interval(0.0)
+
+
+@value
+class Mesh(Value):
+    """Triangles ``faces [F, 3]`` over ``vertices [V, 3]``, wound counter-clockwise seen from outside.
+
+    ``normals [V, 3]`` are shading normals; without them angle-weighted ones are made. ``uv [V, 2]`` belongs to the vertices, or,
+    with ``uv_faces [F, 3]``, to corners: ``uv [T, 2]`` then has its own indices, so that a texture may be cut along seams where the
+    surface is not. ``material [F, 1]`` is an id per face. A mesh has no batch axes.
+    """
+
+    vertices: Tensor = param(REAL, 3, "positions [V, 3]")
+    faces: Tensor = param(INDEX, 3, "vertex indices [F, 3]", kind="int")
+    normals: Tensor | None = param(REAL, 3, "shading normals [V, 3], any length", default=None)
+    uv: Tensor | None = param(REAL, 2, "texture coordinates [V, 2], v upwards", default=None)
+    material: Tensor | None = param(INDEX, 1, "material id per face [F, 1]", default=None, kind="int")
+    uv_faces: Tensor | None = param(INDEX, 3, "indices into uv [F, 3], where they differ from faces", default=None, kind="int")
+
+    def check_shapes(self) -> None:
+        """Row counts must fit together (values are looked at by :meth:`check`)."""
+        for name, t, spec in self.own_tensors():
+            if t.dim() != 2:
+                raise ValueError(f"Mesh.{name}: expected shape [N, {spec.size}], found {list(t.shape)}; a mesh has no batch axes")
+        if self.faces.shape[0] == 0:
+            raise ValueError("Mesh.faces: found no faces; a mesh needs at least one triangle (a point cloud has no surface to shade)")
+        points, faces = self.vertices.shape[0], self.faces.shape[0]
+        rows = {"normals": points, "uv": points if self.uv_faces is None else None, "material": faces, "uv_faces": faces}
+        for name, expected in rows.items():
+            t = getattr(self, name)
+            if isinstance(t, Tensor) and expected is not None and t.shape[0] != expected:
+                raise ValueError(f"Mesh.{name}: expected {expected} rows, one for each {_owner(name)}, found {list(t.shape)}")
+
+    def check(self) -> None:
+        """Raise ``ValueError`` if a vertex is not finite or an index points outside. Looks at values: not for graphs or transforms."""
+        bad = int((~torch.isfinite(self.vertices)).any(-1).sum())
+        if bad:
+            raise ValueError(
+                f"Mesh.vertices: {bad} of {self.vertices.shape[0]} are NaN or infinite; remove them and the faces that use them"
+            )
+        for name, index, table in (("faces", self.faces, self.vertices), ("uv_faces", self.uv_faces, self.uv)):
+            if index is not None and table is not None:
+                low, high = (int(x) for x in torch.aminmax(index))
+                if low < 0 or high >= table.shape[0]:
+                    what = "vertices" if name == "faces" else "uv"
+                    raise ValueError(
+                        f"Mesh.{name}: legal are 0 to {table.shape[0] - 1} ({what} has {table.shape[0]} rows), found {low} to {high}"
+                    )
+
+    @property
+    def batch_shape(self) -> torch.Size:
+        """A mesh has no batch axes."""
+        return torch.Size([])
+
+    def __getitem__(self, index: Any) -> Any:
+        raise TypeError("a Mesh has no batch axes to index; index its tensors (mesh.vertices, mesh.faces, ...) instead")
+
+    def shading_normals(self) -> Tensor:
+        """The given normals, or angle-weighted ones (differentiable w.r.t. the vertices), ``[V, 3]``."""
+        return angle_weighted(self.vertices, self.faces) if self.normals is None else self.normals
+
+
+def _owner(name: str) -> str:
+    return "vertex" if name in ("normals", "uv") else "face"
+
+
+def load_mesh(path: str | Path) -> Mesh:
+    """Read a mesh file (anything trimesh reads) as float32, in the file's order of faces.
+
+    A scene of several parts becomes one mesh whose ``material`` numbers the parts in the file's order. Vertices that the reader split along
+    texture seams are joined again (see :class:`Mesh`, ``uv_faces``), so that they move together.
+    """
+    from .mesh_file import read_mesh
+
+    mesh = Mesh(**read_mesh(Path(path)))
+    try:
+        mesh.check()
+    except ValueError as error:
+        raise ValueError(f"load_mesh: {path}: {error}") from None
+    return mesh
