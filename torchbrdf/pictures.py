@@ -1,0 +1,237 @@
+"""Pictures at the border: files in, linear float32 tensors out, and back.
+
+Inside the library every colour is linear; sRGB is decoded here when an 8- or 16-bit picture comes in and encoded when one
+goes out. Non-finite pixels are kept as they are by everything that reads, and by EXR, which can hold them; an 8-bit picture
+shows NaN as black and the infinities as black and white, with one warning that counts them.
+"""
+
+import math
+import struct
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from . import rgbe
+
+Layers = dict[str, dict[str, np.ndarray]]
+EIGHT_BIT = (".png", ".jpg", ".jpeg")
+# A header may claim more memory than there is. Up to 1 GiB is believed; beyond that, only what deflate's best ratio (1032)
+# could have packed into a file of this size.
+_BELIEVED, _BEST_RATIO = 1 << 30, 1032
+
+
+def read_image(path: str | Path, srgb: bool | None = None) -> Tensor:
+    """Picture as linear float32 ``[H, W, C]``, top row first; C is 1, 3, or 4 with alpha (which is never decoded).
+
+    ``.exr`` (R, G, B and A, or Y), Radiance ``.hdr`` and everything that Pillow opens. ``srgb=None`` decodes sRGB for
+    integer pictures alone, True and False force it on or off. Of an EXR with several layers the first part's plain R, G, B
+    is taken, else the layer called Combined, else the only one. A missing file raises ``FileNotFoundError``; a damaged,
+    truncated or unknown one ``ValueError``, each naming the file.
+    """
+    path = _existing(path, "read_image")
+    kind = path.suffix.lower()
+    if kind == ".exr":
+        pixels, integer = _colour(read_exr(path), path), False
+    elif kind in (".hdr", ".pic", ".rgbe"):
+        pixels, integer = _read_radiance(path), False
+    else:
+        pixels, integer = _read_pillow(path), True
+    image = torch.from_numpy(np.ascontiguousarray(pixels))
+    return _recode(image, "rgb_to_linear_rgb") if (integer if srgb is None else srgb) else image
+
+
+def save_image(path: str | Path, image: Tensor, exposure: float = 0.0) -> None:
+    """Write linear ``image [H, W, 3]`` (or ``[H, W, 1]``), scaled by ``2**exposure``.
+
+    ``.png`` and ``.jpg``: sRGB encoded, clipped to [0, 1], 8 bit. ``.exr``: linear float32, as it is.
+    """
+    path = _writable(path, "save_image", (*EIGHT_BIT, ".exr"))
+    if image.dim() != 3 or image.shape[-1] not in (1, 3) or not image.is_floating_point() or not image.numel():
+        raise ValueError(f"save_image: image: expected floats [H, W, 3] or [H, W, 1], found {image.dtype} {list(image.shape)}")
+    pixels = image.detach().float().cpu() * 2.0**exposure
+    if path.suffix.lower() == ".exr":
+        write_exr(path, dict(zip("RGB" if pixels.shape[-1] == 3 else "Y", pixels.unbind(-1), strict=True)))
+        return
+    from PIL import Image
+
+    encoded = _recode(_finite(pixels, path).clamp(0.0, 1.0), "linear_rgb_to_rgb")
+    bytes_ = (encoded * 255.0).round().to(torch.uint8).contiguous().numpy()
+    Image.fromarray(bytes_ if bytes_.shape[-1] == 3 else bytes_[..., 0]).save(path, quality=95)
+
+
+def read_exr(path: str | Path) -> Layers:
+    """Every channel of every part as float32 ``[H, W]``: ``layers[part name, or ""][channel name]``.
+
+    Arrays cover the display window, so that they line up with the camera: a data window that is smaller is set into zeros,
+    overscan is cut off. Deep parts and subsampled channels are errors. Errors as for :func:`read_image`.
+    """
+    import OpenEXR
+
+    path = _existing(path, "read_exr")
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            promised = len(file.parts)
+            for part in file.parts:
+                _check_exr_header(part.header, path)
+        # The reader drops a part that it cannot decode and goes on; the headers say how many there should be.
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            if len(file.parts) != promised:
+                raise ValueError(f"only {len(file.parts)} of its {promised} parts can be decoded")
+            return {p.header.get("name") or "": {n: _in_display(c, p.header) for n, c in p.channels.items()} for p in file.parts}
+    except Exception as error:
+        raise ValueError(f"read_exr: {path} is damaged, truncated or not an EXR this reader knows: {error}") from None
+
+
+def write_exr(path: str | Path, channels: Mapping[str, Any]) -> None:
+    """Write ``channels`` (name -> tensor or array ``[H, W]``) as one part of float32 under exactly these names (``normal.X``)."""
+    import OpenEXR
+
+    path = _writable(path, "write_exr", (".exr",))
+    # A strided array would be written as wrong pixels without an error, and float64 is refused: hence both conversions.
+    arrays = {n: np.ascontiguousarray(c.detach().cpu().float() if isinstance(c, Tensor) else c, np.float32) for n, c in channels.items()}
+    shapes = {n: a.shape for n, a in arrays.items()}
+    if not arrays or len(set(shapes.values())) > 1 or any(a.ndim != 2 or not a.size for a in arrays.values()):
+        raise ValueError(f"write_exr: {path}: expected channels [H, W] of one size, found {shapes}")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    try:
+        with OpenEXR.File(header, arrays) as file:
+            file.write(str(path))
+    except Exception as error:
+        raise OSError(f"write_exr: {path} could not be written: {error}") from None
+
+
+def _existing(path: str | Path, who: str) -> Path:
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"{who}: no such file: {path}")
+    return Path(path)
+
+
+def _writable(path: str | Path, who: str, legal: tuple[str, ...]) -> Path:
+    path = Path(path)
+    if path.suffix.lower() not in legal:
+        raise ValueError(f"{who}: {path}: the name must end in one of {', '.join(legal)}")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{who}: {path}: no such folder: {path.parent}")
+    return path
+
+
+def _most_pixels(path: Path, bytes_per_pixel: int) -> int:
+    return max(_BELIEVED, path.stat().st_size * _BEST_RATIO) // max(bytes_per_pixel, 1)
+
+
+def _window(header: dict[str, Any], name: str) -> tuple[int, int, int, int]:
+    """(left, top, width, height) in pixels."""
+    (x0, y0), (x1, y1) = ([int(v) for v in corner] for corner in header[name])
+    return x0, y0, x1 - x0 + 1, y1 - y0 + 1
+
+
+def _check_exr_header(header: dict[str, Any], path: Path) -> None:
+    if "deep" in str(header.get("type")).lower():
+        raise ValueError(f"part {header.get('name')!r} is deep, and only flat parts are read")
+    most = _most_pixels(path, 4 * len(header["channels"]))
+    for name in ("dataWindow", "displayWindow"):
+        _, _, width, height = _window(header, name)
+        if width < 1 or height < 1 or width * height > most:
+            raise ValueError(f"its {name} claims {width} x {height} pixels, which its {path.stat().st_size} bytes cannot hold")
+    thinned = [c.name for c in header["channels"] if (c.xSampling, c.ySampling) != (1, 1)]
+    if thinned:
+        raise ValueError(f"channels {thinned} are subsampled; write them at full resolution (as R, G, B)")
+
+
+def _in_display(channel: Any, header: dict[str, Any]) -> np.ndarray:
+    data, display = _window(header, "dataWindow"), _window(header, "displayWindow")
+    pixels = np.asarray(channel.pixels).astype(np.float32, copy=False)
+    if data == display:
+        return pixels
+    out = np.zeros((display[3], display[2]), np.float32)
+    left, top = data[0] - display[0], data[1] - display[1]
+    x0, x1, y0, y1 = max(left, 0), min(left + data[2], display[2]), max(top, 0), min(top + data[3], display[3])
+    if x0 < x1 and y0 < y1:
+        out[y0:y1, x0:x1] = pixels[y0 - top : y1 - top, x0 - left : x1 - left]
+    return out
+
+
+def _colour(layers: Layers, path: Path) -> np.ndarray:
+    """The picture among an EXR's layers, ``[H, W, C]``."""
+    found: dict[tuple[int, str], dict[str, np.ndarray]] = {}
+    for index, (part, channels) in enumerate(layers.items()):
+        for name, pixels in channels.items():
+            prefix, _, last = name.rpartition(".")
+            found.setdefault((index, prefix), {})[last.upper()] = pixels
+    names = list(layers)
+    for wanted in ("RGB", "Y"):
+        groups = {key: group for key, group in found.items() if all(c in group for c in wanted)}
+        labels = {key: key[1] or names[key[0]] for key in groups}
+        combined = [key for key, label in labels.items() if label.rpartition(".")[2].lower() == "combined"]
+        chosen = (0, "") if (0, "") in groups else combined[0] if combined else next(iter(groups)) if len(groups) == 1 else None
+        if chosen is not None:
+            group = groups[chosen]
+            return np.stack([group[c] for c in (*wanted, *("A" if "A" in group else ""))][: 4 if wanted == "RGB" else 1], -1)
+        if groups:
+            raise ValueError(f"read_image: {path} holds several pictures, {sorted(labels.values())}; read_exr gives them all")
+    everything = sorted(name for channels in layers.values() for name in channels)
+    raise ValueError(f"read_image: {path} holds no R, G, B and no Y, found channels {everything}")
+
+
+def _read_radiance(path: Path) -> np.ndarray:
+    try:
+        return rgbe.decode(path.read_bytes(), _most_pixels(path, 12))
+    except ValueError as error:
+        raise ValueError(f"read_image: {path} is damaged, truncated or not a Radiance picture: {error}") from None
+
+
+def _read_pillow(path: Path) -> np.ndarray:
+    """Integer picture as float32 in [0, 1], turned upright by its EXIF orientation; grey stays one channel."""
+    from PIL import Image, ImageOps
+
+    try:
+        if _is_deep_png(path):
+            return _read_deep_png(path)
+        with Image.open(path) as file:
+            picture = ImageOps.exif_transpose(file)
+            deep = picture.mode.startswith("I")
+            if not deep and picture.mode not in ("L", "RGB", "RGBA"):
+                picture = picture.convert("RGBA" if picture.has_transparency_data else "RGB")
+            pixels = np.asarray(picture, np.float32) / np.float32(65535.0 if deep else 255.0)
+    except Exception as error:
+        raise ValueError(f"read_image: {path} is damaged, truncated or no picture that Pillow knows: {error}") from None
+    return pixels if pixels.ndim == 3 else pixels[..., None]
+
+
+def _is_deep_png(path: Path) -> bool:
+    """16-bit colour, which Pillow would cut to 8 bits without a word (16-bit grey it keeps)."""
+    with path.open("rb") as file:
+        head = file.read(26)
+    return head.startswith(b"\x89PNG\r\n\x1a\n") and len(head) == 26 and head[24] == 16 and head[25] != 0
+
+
+def _read_deep_png(path: Path) -> np.ndarray:
+    from kornia_rs import read_image as read_any  # kornia's own picture reader
+
+    _, height = struct.unpack(">II", path.read_bytes()[16:24])
+    pixels = np.asarray(read_any(str(path)))
+    if pixels.dtype != np.uint16 or pixels.shape[0] != height:
+        raise ValueError("this version of kornia_rs reads no 16-bit colour PNG; save the picture as EXR")
+    return pixels.astype(np.float32) / np.float32(65535.0)
+
+
+def _recode(image: Tensor, name: str) -> Tensor:
+    """Apply kornia's sRGB curve to the colour channels of ``[H, W, C]``."""
+    import kornia.color
+
+    count = 3 if image.shape[-1] >= 3 else 1
+    colour = image[..., :count].movedim(-1, 0)
+    recoded = getattr(kornia.color, name)(colour.expand(3, -1, -1))[:count].movedim(0, -1)
+    return torch.cat([recoded, image[..., count:]], -1).contiguous()
+
+
+def _finite(pixels: Tensor, path: Path) -> Tensor:
+    bad = int((~torch.isfinite(pixels)).sum())
+    if bad:
+        warnings.warn(f"save_image: {path}: {bad} non-finite values; NaN and -inf are shown black, +inf white", stacklevel=3)
+    return torch.nan_to_num(pixels, nan=0.0, posinf=math.inf, neginf=0.0)
