@@ -80,9 +80,10 @@ def interpolate(corners: list[Any], weights: tuple[Tensor, ...]) -> tuple[Tensor
 
 
 def _tangent(edges: tuple[Vec, Vec], uv: list[Any]) -> Vec:
-    """Unit direction along which u grows and v does not; 0 where the texture coordinates are degenerate."""
+    """Unit direction along which u grows and v does not; 0 with gradient 0 where the texture coordinates are degenerate."""
     (u0, v0), (u1, v1), (u2, v2) = uv
     first, second = (u1 - u0, v1 - v0), (u2 - u0, v2 - v0)
-    area = first[0] * second[1] - second[0] * first[1]
+    area = (first[0] * second[1] - second[0] * first[1]).detach()
     along = subtract(vector.scale(edges[0], second[1]), vector.scale(edges[1], first[1]))
-    return vector.normalize_components(vector.scale(along, torch.sign(area.detach())))
+    unit = vector.normalize_components(vector.scale(along, torch.sign(area)))
+    return Vec(*(torch.where(area != 0, c, 0.0) for c in unit))

@@ -38,6 +38,8 @@ class Mesh(Value):
                 raise ValueError(f"Mesh.{name}: expected shape [N, {spec.size}], found {list(t.shape)}; a mesh has no batch axes")
         if self.faces.shape[0] == 0:
             raise ValueError("Mesh.faces: found no faces; a mesh needs at least one triangle (a point cloud has no surface to shade)")
+        if self.uv_faces is not None and self.uv is None:
+            raise ValueError("Mesh.uv_faces: given without uv, which it would index; pass uv [T, 2] too")
         points, faces = self.vertices.shape[0], self.faces.shape[0]
         rows = {"normals": points, "uv": points if self.uv_faces is None else None, "material": faces, "uv_faces": faces}
         for name, expected in rows.items():

@@ -36,7 +36,9 @@ def _parts(path: Path) -> list[Any]:
     except Exception as error:
         kinds = ", ".join(sorted(trimesh.available_formats()))
         raise ValueError(f"load_mesh: cannot read {path} ({type(error).__name__}: {error}); formats that can be read: {kinds}") from None
-    placed = (_placed(scene, node) for node in scene.graph.nodes_geometry)
+    order = list(scene.geometry)  # that of the file; the graph's own is not
+    nodes = sorted(scene.graph.nodes_geometry, key=lambda node: order.index(scene.graph[node][1]))
+    placed = (_placed(scene, node) for node in nodes)
     return [p for p in placed if isinstance(p, trimesh.Trimesh) and len(p.faces)]
 
 

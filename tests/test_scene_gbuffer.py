@@ -1,0 +1,203 @@
+"""G-buffers: against an independent renderer, against re-cast differences, and at the hard cases."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+import torchbrdf as tb
+from torchbrdf.scene import intersect
+
+FIELDS = ("position", "depth", "normal", "geometric_normal", "uv", "barycentric", "view", "tangent")
+
+
+def ball(dtype=torch.float64, subdivisions=1, uv=True):
+    s = trimesh.creation.icosphere(subdivisions=subdivisions)
+    v = torch.tensor(s.vertices * [1.0, 1.3, 0.8], dtype=dtype)
+    return tb.Mesh(v, torch.tensor(s.faces), uv=torch.stack([0.3 * v[:, 0] + v[:, 2], v[:, 1] - 0.2 * v[:, 0]], -1) if uv else None)
+
+
+def camera(size=(9, 11), **changes):
+    return tb.Camera.look_at([0.7, 0.9, 3.0], [0.0, 0.1, 0.0], [0.0, 1.0, 0.0], 45.0, size).replace(**changes)
+
+
+def spot(shared_data):
+    scene = json.loads((shared_data / "spot/scene.json").read_text())
+    view = tb.Camera.look_at(scene["eye"], scene["target"], scene["up"], scene["fov_y_deg"], (scene["res"], scene["res"]))
+    return tb.load_mesh(shared_data / "spot" / scene["mesh"]), view, scene
+
+
+def test_spot_as_mitsuba_sees_it(shared_data):
+    import OpenEXR
+
+    mesh, view, _ = spot(shared_data)
+    g = tb.GBuffer.from_mesh(mesh, view)
+    channels = OpenEXR.File(str(shared_data / "spot/aov.exr"), separate_channels=True).channels()
+
+    def aov(name, parts):
+        return torch.from_numpy(np.stack([channels[f"{name}.{p}"].pixels for p in parts], -1).astype(np.float64))
+
+    triangle = aov("id", "I").long()
+    theirs, ours = triangle >= 0, g.mask
+    assert (theirs & ours).sum() >= 0.999 * (theirs | ours).sum()
+    both = (theirs & ours)[..., 0]
+    same = both & (triangle == g.triangle)[..., 0]
+    assert same.sum() >= 0.995 * both.sum()
+    diagonal = (mesh.vertices.amax(0) - mesh.vertices.amin(0)).norm()
+    off = (aov("pos", "XYZ") - g.position)[same].norm(dim=-1)
+    assert off.median() <= 1e-6 * diagonal
+    for name, n in (("nn", g.normal), ("gn", g.geometric_normal)):
+        chord = (aov(name, "XYZ") - n)[same].norm(dim=-1)
+        assert torch.rad2deg(2.0 * torch.asin(0.5 * chord)).median() <= 1e-3
+    flipped = aov("uv", "UV") * torch.tensor([1.0, -1.0]) + torch.tensor([0.0, 1.0])  # Mitsuba turns v over
+    assert (flipped - g.uv)[same].abs().max() < 1e-5  # measured 2e-6; a wrong seam would be of the order of 1
+
+
+def directional(field, at, along):
+    """J(at) along, pixel by pixel, by the double-backward trick (which also shows that second derivatives exist)."""
+    w = torch.ones_like(field, requires_grad=True)
+    (pulled,) = torch.autograd.grad((w * field).sum(), at, create_graph=True)
+    return torch.autograd.grad((pulled * along).sum(), w)[0]
+
+
+def check_against_recast(build, start, names=FIELDS, step=1e-5):
+    at = start.clone().requires_grad_()
+    along = torch.randn_like(start)
+    g, above, below = build(at), build(start + step * along), build(start - step * along)
+    stable = g.mask & (g.triangle == above.triangle) & (g.triangle == below.triangle)
+    assert stable.sum() > 20
+    checked = [n for n in names if getattr(g, n).requires_grad]
+    for name in checked:
+        expected = (getattr(above, name) - getattr(below, name)) / (2.0 * step)
+        error = torch.where(stable, directional(getattr(g, name), at, along) - expected, 0.0).abs().max()
+        # Truncation step^2 times the third derivative, large where a ray grazes its triangle; measured below 1e-7 of the size.
+        assert error < 1e-6 * (1.0 + expected[stable.squeeze(-1)].abs().max()), (name, error)
+    return checked
+
+
+def test_derivatives_to_vertices_against_recast_differences():
+    mesh = ball()
+    checked = check_against_recast(lambda v: tb.GBuffer.from_mesh(mesh.replace(vertices=v), camera()), mesh.vertices)
+    assert checked == [n for n in FIELDS if n != "view"]
+
+
+@pytest.mark.parametrize("name", ["origin", "right", "down", "forward", "focal", "principal"])
+def test_derivatives_to_the_camera_against_recast_differences(name):
+    mesh = ball()
+    checked = check_against_recast(lambda x: tb.GBuffer.from_mesh(mesh, camera(**{name: x})), getattr(camera(), name))
+    assert {"position", "depth", "normal", "uv", "barycentric"} <= set(checked)
+
+
+def test_derivatives_to_given_normals_and_uv():
+    mesh = ball().replace(normals=ball().vertices.clone())
+    assert check_against_recast(lambda n: tb.GBuffer.from_mesh(mesh.replace(normals=n), camera()), mesh.normals) == ["normal"]
+    assert check_against_recast(lambda t: tb.GBuffer.from_mesh(mesh.replace(uv=t), camera()), mesh.uv) == ["uv", "tangent"]
+
+
+def test_what_it_holds_fits_together():
+    mesh = ball(subdivisions=3).replace(material=torch.arange(1280).unsqueeze(-1))
+    g = tb.GBuffer.from_mesh(mesh, camera((32, 40)))
+    m = g.mask.squeeze(-1)
+    origin, direction = camera((32, 40)).rays()
+    corners = mesh.vertices[mesh.faces[g.triangle.squeeze(-1)]]
+    assert torch.allclose(torch.einsum("hwc,hwcx->hwx", g.barycentric, corners)[m], g.position[m], atol=1e-12)  # float64
+    assert torch.allclose((origin + g.depth * direction)[m], g.position[m])
+    assert torch.equal(g.view, -direction)
+    assert g.barycentric[m].min() > -1e-6  # embree decides in float32 which side of an edge a ray passes
+    assert ((g.geometric_normal * g.view).sum(-1)[m] > 0).all()
+    assert torch.equal(g.material, torch.where(g.mask, g.triangle, 0))
+    assert torch.equal(g.triangle == -1, ~g.mask)
+    # tangent: u grows along it, and v does not
+    gradient = torch.linalg.lstsq(
+        corners[m][:, 1:] - corners[m][:, :1], (mesh.uv[mesh.faces] - mesh.uv[mesh.faces][:, :1])[g.triangle[m][:, 0], 1:]
+    )[0]
+    turn = torch.einsum("px,pxk->pk", g.tangent[m], gradient)
+    assert turn[:, 0].min() > 0
+    assert turn[:, 1].abs().max() < 1e-10
+    for name, t, spec in g.own_tensors():
+        assert tb.is_planar(t), name
+        assert torch.isfinite(t).all() if spec.kind == "float" else True
+        assert (t[~m] == 0).all() or name in ("view", "triangle"), name
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_cameras_batch_and_dtype_follows_the_vertices(dtype):
+    mesh = ball(dtype, uv=False)
+    eyes = torch.tensor([[0.7, 0.9, 3.0], [-2.0, 0.5, 2.5]])
+    g = tb.GBuffer.from_mesh(mesh, tb.Camera.look_at(eyes, [0.0, 0.1, 0.0], [0.0, 1.0, 0.0], 45.0, (9, 11)))
+    assert g.position.shape == (2, 9, 11, 3)
+    assert g.uv is None
+    assert g.tangent is None
+    assert all(t.dtype == dtype for _, t, s in g.own_tensors() if s.kind == "float")
+    single = tb.GBuffer.from_mesh(mesh, camera())
+    assert torch.equal(g.triangle[0], single.triangle)
+    assert torch.allclose(g[0].position, single.position, atol=1e-6)  # eyes are float32
+
+
+def test_back_faces_keep_their_normals():
+    mesh = ball()
+    inside_out = mesh.replace(faces=mesh.faces.flip(-1), normals=-mesh.shading_normals())
+    g, turned = tb.GBuffer.from_mesh(mesh, camera()), tb.GBuffer.from_mesh(inside_out, camera())
+    assert torch.allclose(turned.normal, -g.normal)
+    assert torch.allclose(turned.geometric_normal, -g.geometric_normal)
+
+
+def test_degenerate_triangles_are_masked_out_without_a_gradient(monkeypatch):
+    """Whatever the ray caster says: every pixel is sent to a triangle without area."""
+
+    class Stubborn:
+        def first_hit(self, origin, direction):
+            return torch.full(direction.shape[:-1], 80)
+
+    mesh = ball()
+    bad = torch.tensor([[0, 0, 1]])
+    v = mesh.vertices.clone().requires_grad_()
+    eye = torch.tensor([0.7, 0.9, 3.0], dtype=torch.float64, requires_grad=True)
+    mesh = mesh.replace(vertices=v, faces=torch.cat([mesh.faces, bad]))
+    monkeypatch.setattr(intersect, "caster_of", lambda mesh: Stubborn())
+    g = tb.GBuffer.from_mesh(mesh, tb.Camera.look_at(eye, [0.0, 0.1, 0.0], [0.0, 1.0, 0.0], 45.0, (4, 4)))
+    assert not g.mask.any()
+    total = sum(getattr(g, n).sum() for n in FIELDS if n != "view")
+    grads = torch.autograd.grad(total, (v, eye))
+    assert total == 0
+    assert all((x == 0).all() for x in grads)
+
+
+def test_degenerate_texture_coordinates_give_no_tangent():
+    mesh = ball()
+    t = torch.zeros_like(mesh.uv, requires_grad=True)
+    g = tb.GBuffer.from_mesh(mesh.replace(uv=t), camera())
+    assert (g.tangent == 0).all()
+    (grad,) = torch.autograd.grad((g.tangent + g.position).sum() + g.uv.sum(), t)
+    assert torch.isfinite(grad).all()
+
+
+def test_the_triangle_is_right_for_a_far_camera_and_a_far_mesh():
+    """embree works in float32; a telephoto lens and a mesh far from the origin must not cost it its digits."""
+    mesh = ball(subdivisions=4)
+    near = tb.GBuffer.from_mesh(mesh, camera((64, 64)))
+    shift = torch.tensor([4096.0, -8192.0, 2048.0], dtype=torch.float64)
+    moved = camera((64, 64)).replace(origin=camera().origin + shift)
+    far_mesh = tb.GBuffer.from_mesh(mesh.replace(vertices=mesh.vertices + shift), moved)
+    assert (near.triangle == far_mesh.triangle).double().mean() > 0.999  # all but rays within float32 rounding of an edge
+    away = tb.Camera.look_at([0.0, 0.0, 1e6], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 1.5e-4, (64, 64))
+    g = tb.GBuffer.from_mesh(mesh, away)
+    assert g.barycentric[g.mask.squeeze(-1)].min() > -1e-3  # of small triangles; without the shortened rays whole triangles are missed
+
+
+def test_one_made_elsewhere():
+    n = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [0.0, float("nan"), 1.0], [0.0, 0.0, 1.0]])
+    g = tb.GBuffer(torch.zeros(4, 3), n)
+    assert g.valid[:, 0].tolist() == [True, False, False, True]
+    assert g.replace(mask=torch.tensor([[False], [True], [True], [True]])).valid[:, 0].tolist() == [False, False, False, True]
+    with pytest.raises(ValueError, match=r"GBuffer.view is missing.*camera"):
+        g.require_view()
+    assert g.replace(view=n).require_view() is n
+    with pytest.raises(ValueError, match=r"GBuffer.depth: expected shape \[..., 1\], found \[4\]"):
+        g.replace(depth=torch.zeros(4))
+    with pytest.raises(TypeError, match=r"GBuffer.mask: expected a tensor of bools"):
+        g.replace(mask=torch.zeros(4, 1))
+    with pytest.raises(ValueError, match="do not broadcast"):
+        g.replace(uv=torch.zeros(3, 2))

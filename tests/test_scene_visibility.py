@@ -1,0 +1,175 @@
+"""Shadows: none of a surface's own making, all that others cast, and the agreement with an independent renderer."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+import trimesh
+from test_scene_gbuffer import spot
+
+import torchbrdf as tb
+from torchbrdf.scene import visibility as module
+
+
+class Point:
+    """The part of a light that shadows ask for."""
+
+    def __init__(self, *positions):
+        self.positions = torch.tensor(positions)
+
+    def shadow_targets(self, points):
+        to_light = torch.stack([p.to(points) - points for p in self.positions])
+        distance = to_light.norm(dim=-1, keepdim=True)
+        return to_light / distance, distance
+
+
+class Sun:
+    def __init__(self, *direction):
+        self.direction = tb.normalize(torch.tensor(direction))
+
+    def shadow_targets(self, points):
+        wi = self.direction.to(points).expand(1, *points.shape)
+        return wi, torch.full_like(wi[..., :1], math.inf)
+
+
+class Sky:
+    """A light without a direction to cast a ray in."""
+
+
+def ball(scale=1.0, shift=(0.0, 0.0, 0.0), dtype=torch.float32, subdivisions=4):
+    s = trimesh.creation.icosphere(subdivisions=subdivisions)
+    return tb.Mesh(torch.tensor(s.vertices * scale + np.array(shift), dtype=dtype), torch.tensor(s.faces))
+
+
+def seen(mesh, scale=1.0, shift=(0.0, 0.0, 0.0), size=(96, 96)):
+    at = torch.tensor(shift, dtype=torch.float64)
+    eye = at + scale * torch.tensor([0.4, 0.6, 3.0], dtype=torch.float64)
+    return tb.GBuffer.from_mesh(mesh, tb.Camera.look_at(eye, at, [0.0, 1.0, 0.0], 40.0, size))
+
+
+def geometric_side(g, light):
+    wi, _ = light.shadow_targets(g.position.double())
+    return (g.geometric_normal.double() * wi[0]).sum(-1, keepdim=True)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (7.0, -3.0, 11.0)])
+def test_a_closed_sphere_has_no_acne(scale, shift, dtype):
+    """Every point whose true surface faces the light is lit, every other one dark, up to rounding at the terminator."""
+    shift = tuple(scale * s for s in shift)
+    mesh = ball(scale, shift, dtype)
+    g = seen(mesh, scale, shift)
+    for light in (Sun(1.0, 0.3, 0.2), Sun(-0.2, 1.0, -0.9), Point([scale * 1.2 + shift[0], scale + shift[1], scale + shift[2]])):
+        lit = tb.visibility(g, light, mesh)[0] > 0
+        side = geometric_side(g, light)
+        clear = g.mask & (side.abs() > 8 * torch.finfo(torch.float32).eps)
+        assert clear.sum() > 3000
+        assert torch.equal(lit[clear], (side > 0)[clear])
+        assert not lit[~g.mask].any()
+
+
+def test_without_the_offset_there_is_acne(monkeypatch):
+    """The bound is what keeps the surface clean: the test above can fail."""
+    mesh = ball()
+    g = seen(mesh)
+    light = Sun(1.0, 0.3, 0.2)
+    facing = g.mask & (geometric_side(g, light) > 1e-3)
+    assert (tb.visibility(g, light, mesh)[0][facing] > 0).all()
+    monkeypatch.setattr(module, "offset_bound", lambda points, normal, caster: torch.zeros_like(points[..., :1]))
+    assert not (tb.visibility(g, light, mesh)[0][facing] > 0).all()
+
+
+def plate(z, half, lower=-1.0):
+    v = torch.tensor([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]])
+    return v, torch.tensor([[0, 1, 2], [0, 2, 3]])
+
+
+@pytest.mark.parametrize("gap", [1e-5, 1.0])
+def test_a_shadow_has_its_shape_and_stays_attached(gap):
+    """A small plate above a large one, lit from above: also one that almost touches (the offset may not step over it)."""
+    (big, low), (small, high) = plate(0.0, 2.0), plate(gap, 0.5)
+    mesh = tb.Mesh(torch.cat([big, small]), torch.cat([low, high + 4]))
+    x, y = torch.meshgrid(torch.linspace(-1.5, 1.5, 31) + 0.01, torch.linspace(-1.5, 1.5, 31) + 0.01, indexing="xy")
+    floor = torch.stack([x, y, torch.zeros_like(x)], -1)
+    up = torch.tensor([0.0, 0.0, 1.0]).expand(31, 31, 3)
+    g = tb.GBuffer(floor, up, up, up)
+    under = (x.abs() < 0.5) & (y.abs() < 0.5)
+    assert torch.equal(tb.visibility(g, Sun(0.0, 0.0, 1.0), mesh)[0, ..., 0] == 0, under)
+    # A light below the plate is not hidden by it.
+    if gap == 1.0:
+        assert (tb.visibility(g, Point([0.0, 0.0, 0.5]), mesh) == 1).all()
+        assert (tb.visibility(g, Point([0.0, 0.0, 1.5]), mesh)[0, 15, 15] == 0).all()
+
+
+def test_the_lit_side_is_the_one_that_is_seen():
+    """A sheet seen from behind (two-sided): the light on the viewer's side is visible, the one beyond is not."""
+    v, faces = plate(0.0, 1.0)
+    mesh = tb.Mesh(v, faces.flip(-1))  # wound away from the viewer
+    g = seen(mesh, size=(8, 8))
+    assert ((g.geometric_normal * g.view).sum(-1)[g.mask[..., 0]] < 0).all()
+    both = tb.visibility(g, [Sun(0.1, 0.0, 1.0), Sun(0.1, 0.0, -1.0)], mesh)
+    assert torch.equal(both[0], g.mask.float())
+    assert (both[1] == 0).all()
+
+
+def test_rows_shapes_and_what_has_no_row():
+    mesh = ball(subdivisions=2)
+    g = seen(mesh, size=(6, 8))
+    three = Point([0.0, 3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 3.0])
+    v = tb.visibility(g, [Sky(), three, Sun(0.0, 0.0, 1.0)], mesh)
+    assert v.shape == (4, 6, 8, 1)
+    assert v.dtype == torch.float32
+    assert torch.equal(v[:3], tb.visibility(g, three, mesh))
+    assert set(v.unique().tolist()) == {0.0, 1.0}
+    assert tb.visibility(g, Sky(), mesh).shape == (0, 6, 8, 1)
+    leaf = mesh.vertices.clone().requires_grad_()
+    assert not tb.visibility(seen(mesh.replace(vertices=leaf), size=(6, 8)), three, mesh).requires_grad
+
+
+def test_a_g_buffer_without_geometric_normals_takes_them_from_the_mesh():
+    mesh = ball(subdivisions=2)
+    g = seen(mesh)
+    sun = Sun(1.0, 0.2, 0.1)
+    full = tb.visibility(g, sun, mesh)
+    assert torch.equal(tb.visibility(g.replace(geometric_normal=None), sun, mesh), full)
+    bare = tb.GBuffer(g.position, g.normal, g.view, mask=g.mask)
+    assert (tb.visibility(bare, sun, mesh) == full).float().mean() > 0.98  # shading normals differ near the terminator
+    broken = g.replace(position=torch.where(g.mask, g.position, float("nan")))
+    assert torch.equal(tb.visibility(broken, sun, mesh), full)
+
+
+def away_from_edges(g, pixels=2, jump=0.02):
+    """Pixels at least so far from the edge of the mask and from a jump of depth between neighbours."""
+    mask, depth = g.mask[..., 0], g.depth[..., 0]
+    edge = ~mask
+    for axis in (0, 1):
+        a, b = depth.narrow(axis, 0, depth.shape[axis] - 1), depth.narrow(axis, 1, depth.shape[axis] - 1)
+        jumps = (a - b).abs() > jump * torch.minimum(a, b)
+        edge = edge | F.pad(jumps, (0, 1, 0, 0) if axis else (0, 0, 0, 1)) | F.pad(jumps, (1, 0, 0, 0) if axis else (0, 0, 1, 0))
+    return F.max_pool2d(edge.float()[None, None], 2 * pixels + 1, 1, pixels)[0, 0] == 0
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_spot_shadows_as_mitsuba_casts_them(shared_data, number):
+    import OpenEXR
+
+    mesh, view, scene = spot(shared_data)
+    g = tb.GBuffer.from_mesh(mesh, view)
+    light = Point(scene["lights"][number])
+    channels = OpenEXR.File(str(shared_data / f"spot/lambert_{number}.exr"), separate_channels=True).channels()
+    image = torch.from_numpy(channels["R"].pixels.copy())
+    wi, r = light.shadow_targets(g.position)
+    cosine = (g.normal * wi[0]).sum(-1).clamp_min(0.0)
+    unshadowed = scene["materials"]["lambert"]["albedo"][0] / math.pi * scene["intensity"] * cosine / r[0, ..., 0] ** 2
+    counted = away_from_edges(g) & (unshadowed > 0.02 * unshadowed.max())
+    theirs, ours = image > 0.5 * unshadowed, tb.visibility(g, light, mesh)[0, ..., 0] > 0
+    assert counted.sum() > 5000
+    assert (~theirs & counted).sum() > 50  # there are shadows to agree on
+    assert (theirs == ours)[counted].float().mean() >= 0.997
+    both = counted & theirs & ours
+    relative = ((image - unshadowed) / unshadowed).abs()[both]
+    assert relative.median() <= 0.002
+    assert relative.quantile(0.9) <= 0.01
