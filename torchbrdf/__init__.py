@@ -7,20 +7,18 @@ when it is first used, so that ``import torchbrdf`` costs little more than ``imp
 import importlib
 from typing import Any
 
+from .registry import BSDFS, FRESNEL_TERMS
+
 __version__ = "0.1.0"
 
-# Where each public name lives. (No public function bears a module's name: tb.plan lives in planning.py.)
+# Where each public name lives; the models have a registry of their own.
+# (No public function bears a module's name: tb.plan lives in planning.py.)
 _HOME = {
     "vector": ("Frame", "Geometry", "normalize", "reflect", "refract", "is_planar", "planar"),
     "value": ("Interval", "Value", "load_value", "param", "validate"),
     "pictures": ("read_image", "save_image"),
-    "optics.fresnel": ("Conductor", "Dielectric", "Fresnel", "Schlick"),
+    "optics.fresnel": ("Fresnel",),
     "bsdf.base": ("Bsdf", "BSDFSample", "Lobe"),
-    "bsdf.lambert": ("Lambert",),
-    "bsdf.phong": ("Phong",),
-    "bsdf.blinn_phong": ("BlinnPhong",),
-    "bsdf.mirror": ("Mirror",),
-    "bsdf.combine": ("Scaled", "Sum"),
     "light.base": ("Light",),
     "light.point": ("PointLight",),
     "light.directional": ("DirectionalLight",),
@@ -33,7 +31,7 @@ _HOME = {
     "compiling": ("compile",),
 }
 _MODULES = {"fresnel": "optics.fresnel", "nn": "nn", "testing": "testing"}
-_NAMES = {name: module for module, names in _HOME.items() for name in names}
+_NAMES = {name: module for module, names in _HOME.items() for name in names} | BSDFS | FRESNEL_TERMS
 __all__ = sorted([*_NAMES, *_MODULES])
 
 

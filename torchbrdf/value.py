@@ -7,6 +7,7 @@ shading points. Parameters with batch axes must match the points themselves.
 """
 
 import dataclasses
+import importlib
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,12 +23,17 @@ VALUES: dict[str, type["Value"]] = {}
 
 @dataclasses.dataclass(frozen=True)
 class Interval:
-    """The legal range of a parameter; ``typical`` is the sub-range that tests draw from and learning starts in."""
+    """The legal range of a parameter.
+
+    ``typical`` is the sub-range that tests draw from and learning starts in; at the ``hard`` values, the closed ends of the
+    range always among them, values and gradients must still be finite.
+    """
 
     low: float = -math.inf
     high: float = math.inf
     open_low: bool = False
     typical: tuple[float, float] | None = None
+    hard: tuple[float, ...] = ()
 
     def __str__(self) -> str:
         left = "(" if self.open_low or math.isinf(self.low) else "["
@@ -37,6 +43,11 @@ class Interval:
         """Where x is finite and legal (bool)."""
         above = x > self.low if self.open_low else x >= self.low
         return torch.isfinite(x) & above & (x <= self.high)
+
+    def extremes(self) -> tuple[float, ...]:
+        """The closed ends, and the values declared hard."""
+        ends = (self.low,) * (not self.open_low) + (self.high,)
+        return (*(x for x in ends if math.isfinite(x)), *self.hard)
 
     def from_unconstrained(self, u: Tensor) -> Tensor:
         """All reals -> the interior: sigmoid for two finite ends, exp for one, the identity for none."""
@@ -171,9 +182,12 @@ class Value:
         return self._index(index, self.batch_shape)
 
     def _index(self, index: Any, batch: torch.Size) -> Self:
+        where = index if isinstance(index, tuple) else (index,)
+        where = (*where, slice(None)) if any(i is Ellipsis for i in where) else (*where, ..., slice(None))
+
         def pick(x: Any) -> Any:
             if isinstance(x, Tensor):
-                return x.expand(*batch, x.shape[-1])[index] if x.dim() > 1 else x
+                return x.expand(*batch, x.shape[-1])[where] if x.dim() > 1 else x
             return x._index(index, batch) if isinstance(x, Value) else tuple(map(pick, x)) if isinstance(x, tuple) else x
 
         return _rebuild(type(self), {n: pick(getattr(self, n)) for n in self._fields})
@@ -230,34 +244,42 @@ def _flatten(v: Value) -> tuple[list[Any], tuple[tuple[str, ...], tuple[tuple[st
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(param, dataclasses.field))
 def value(cls: type[T]) -> type[T]:
     """Class decorator: a frozen dataclass that is its own pytree node, known by name for saving and loading."""
-    made = dataclasses.dataclass(frozen=True, eq=False, repr=False)(cls)
-    made._fields = tuple(f.name for f in dataclasses.fields(made))  # type: ignore[attr-defined]
-    made._params = {f.name: f.metadata["param"] for f in dataclasses.fields(made) if "param" in f.metadata}  # type: ignore[attr-defined]
+    made: Any = dataclasses.dataclass(frozen=True, eq=False, repr=False)(cls)
+    made._fields = tuple(f.name for f in dataclasses.fields(made))
+    made._params = {f.name: f.metadata["param"] for f in dataclasses.fields(made) if "param" in f.metadata}
     pytree.register_pytree_node(
         made,
-        _flatten,  # type: ignore[arg-type]
+        _flatten,
         lambda children, context: _rebuild(made, {**dict(zip(context[0], children, strict=True)), **dict(context[1])}),
         flatten_with_keys_fn=lambda v: (
-            [(pytree.GetAttrKey(n), getattr(v, n)) for n in _flatten(v)[1][0]],  # type: ignore[arg-type]
-            _flatten(v)[1],  # type: ignore[arg-type]
+            [(pytree.GetAttrKey(n), getattr(v, n)) for n in _flatten(v)[1][0]],
+            _flatten(v)[1],
         ),
         serialized_type_name=f"torchbrdf.{cls.__name__}",
     )
-    VALUES[cls.__name__] = made  # type: ignore[assignment]
+    VALUES[cls.__name__] = made
     return made
+
+
+def _known(name: Any) -> type[Value] | None:
+    """The value of that name; those of the public face are imported when a file first speaks of them."""
+    if name not in VALUES and isinstance(name, str):
+        getattr(importlib.import_module(__package__), name, None)
+    return VALUES.get(name)
 
 
 def from_state(state: Any) -> Value:
     """The value that :meth:`Value.state` described."""
-    if not (isinstance(state, dict) and state.get("value") in VALUES and isinstance(state.get("fields"), dict)):
+    kind = _known(state.get("value")) if isinstance(state, dict) and isinstance(state.get("fields"), dict) else None
+    if kind is None:
         found = state.get("value") if isinstance(state, dict) else type(state).__name__
-        raise ValueError(f"not a saved torchbrdf value: found {found!r}, expected one of {sorted(VALUES)}")
+        raise ValueError(f"not a saved torchbrdf value: found {found!r}; import the module that defines it first, if it is your own")
 
     def build(x: Any) -> Any:
         return from_state(x) if isinstance(x, dict) else tuple(build(v) for v in x) if isinstance(x, list) else x
 
     try:
-        return VALUES[state["value"]](**{str(n): build(x) for n, x in state["fields"].items()})
+        return kind(**{str(n): build(x) for n, x in state["fields"].items()})
     except TypeError as error:
         raise ValueError(f"saved {state['value']} does not fit this version: {error}") from None
 

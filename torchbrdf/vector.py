@@ -6,6 +6,7 @@ whole formula. Take apart with :func:`components` (``unbind``), put together wit
 whose backward scatters into zeros and doubles the time.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -73,22 +74,40 @@ def direction_and_length(v: Vec) -> tuple[Vec, Tensor]:
 
     A zero or non-finite vector gives direction 0 and length 0, both with gradient 0.
     """
-    largest = torch.maximum(torch.maximum(v.x.abs(), v.y.abs()), v.z.abs()).detach()
-    usable = (largest > 0) & torch.isfinite(largest)
-    divisor = torch.where(usable, largest, 1.0)
-    u = Vec(*(torch.where(usable, c, 0.0) / divisor for c in v))
-    length = torch.sqrt(torch.where(usable, dot(u, u), 1.0))
-    return Vec(u.x / length, u.y / length, u.z / length), torch.where(usable, length * divisor, 0.0)
+    u, divisor, length = _scaled(v)
+    nonzero = torch.where(u.x * u.x + u.y * u.y + u.z * u.z > 0, divisor, 0.0)
+    return Vec(u.x / length, u.y / length, u.z / length), length * nonzero
+
+
+def _scaled(v: Vec) -> tuple[Vec, Tensor, Tensor]:
+    """``v`` over its largest component, that component (a constant), and the length that is left, in [1, sqrt(3)]."""
+    x, y, z = (c.detach().abs() for c in v)
+    largest = torch.maximum(torch.maximum(x, y), z)
+    finite = largest < math.inf  # False for NaN, which maximum() hands on
+    smallest = torch.finfo(largest.dtype).smallest_normal * torch.finfo(largest.dtype).eps
+    divisor = torch.nan_to_num(largest, nan=1.0, posinf=1.0).clamp_min(smallest)
+    u = Vec(*(torch.where(finite, c, 0.0) / divisor for c in v))
+    # The squares of a usable vector sum to 1 at least; the bound of 1/2 is met by the zero vector alone.
+    return u, divisor, torch.sqrt(dot(u, u).clamp_min(0.5))
 
 
 def normalize_components(v: Vec) -> Vec:
     """Unit vector; zero and non-finite vectors give 0 with gradient 0."""
-    return direction_and_length(v)[0]
+    u, _, length = _scaled(v)
+    return Vec(u.x / length, u.y / length, u.z / length)
 
 
 def normalize(v: Tensor) -> Tensor:
     """``[..., 3]`` to unit length; zero and non-finite vectors become 0 with gradient 0."""
-    return stack(normalize_components(components(v)))
+    return _stacked(normalize_components(_widened(v)), v)
+
+
+def _widened(v: Tensor) -> Vec:
+    return components(numerics.widen(v))
+
+
+def _stacked(parts: Sequence[Tensor], like: Tensor) -> Tensor:
+    return numerics.rounded_back(stack(parts), like.dtype)
 
 
 def reflect_components(w: Vec, n: Vec) -> Vec:
@@ -99,7 +118,7 @@ def reflect_components(w: Vec, n: Vec) -> Vec:
 
 def reflect(w: Tensor, n: Tensor) -> Tensor:
     """Mirror direction ``2 (n.w) n - w`` of ``w [..., 3]`` (pointing away from the surface) about the unit normal ``n [..., 3]``."""
-    return stack(reflect_components(components(w), components(n)))
+    return _stacked(reflect_components(_widened(w), _widened(n)), w)
 
 
 def refract(w: Tensor, n: Tensor, eta: Tensor | float) -> tuple[Tensor, Tensor]:
@@ -110,15 +129,15 @@ def refract(w: Tensor, n: Tensor, eta: Tensor | float) -> tuple[Tensor, Tensor]:
     internal reflection ``wt`` is 0 with gradient 0. Source: Heckbert 1989 in the ``g`` form of Cook & Torrance 1982,
     which stays accurate at the critical angle. Not smooth at that angle (true slope -inf just outside, 0 inside).
     """
-    wc, nc = components(w), components(n)
-    ratio = torch.as_tensor(eta, dtype=w.dtype, device=w.device)
-    ratio = ratio[..., 0] if ratio.dim() else ratio
+    wc, nc = _widened(w), _widened(n)
+    ratio = torch.as_tensor(eta, dtype=wc.x.dtype, device=w.device)
+    ratio = ratio.squeeze(-1) if ratio.dim() else ratio
     cos_i = dot(wc, nc)
     g2 = numerics.eta2_minus_sin2(cos_i, ratio)
     valid = g2 > 0
     along_normal = cos_i - torch.where(cos_i < 0, -1.0, 1.0) * numerics.safe_sqrt(g2)
     bent = (torch.where(valid, (along_normal * nk - wk) / ratio, 0.0) for wk, nk in zip(wc, nc, strict=True))
-    return stack(tuple(bent)), valid.unsqueeze(-1)
+    return _stacked(tuple(bent), w), valid.unsqueeze(-1)
 
 
 class Frame(NamedTuple):
@@ -135,17 +154,17 @@ class Frame(NamedTuple):
         Without a tangent: Duff et al. 2017 (eq. 4, with copysign), accurate to 1.3 eps for every n; its x axis jumps where
         n.z changes sign. A tangent that is zero or parallel to n falls back to it.
         """
-        axes = frame_components(components(n), None if tangent is None else components(tangent))
-        return Frame(*(stack(a) for a in axes))
+        axes = frame_components(_widened(n), None if tangent is None else _widened(tangent))
+        return Frame(*(_stacked(a, n) for a in axes))
 
     def to_local(self, w: Tensor) -> Tensor:
         """World ``w [..., 3]`` -> local."""
-        wc = components(w)
-        return stack([dot(components(a), wc) for a in self])
+        wc = _widened(w)
+        return _stacked([dot(_widened(a), wc) for a in self], w)
 
     def to_world(self, w: Tensor) -> Tensor:
         """Local ``w [..., 3]`` -> world."""
-        return stack(combine(tuple(components(a) for a in self), components(w)))
+        return _stacked(combine(tuple(_widened(a) for a in self), _widened(w)), w)
 
 
 def combine(axes: Sequence[Vec], w: Vec) -> Vec:
@@ -160,15 +179,28 @@ def frame_components(n: Vec, tangent: Vec | None = None) -> tuple[Vec, Vec, Vec]
     b = n.x * n.y * a
     x = Vec(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x)
     if tangent is not None:
-        along = normalize_components(subtract(tangent, scale(n, dot(tangent, n))))
-        given = dot(along, along) > 0
-        x = Vec(*(torch.where(given, t, d) for t, d in zip(along, x, strict=True)))
+        x = _along(tangent, n, x)
     return x, cross(n, x), n
+
+
+def _along(tangent: Vec, n: Vec, otherwise: Vec) -> Vec:
+    """The tangent made orthogonal to n; ``otherwise`` where nothing but rounding is left of it."""
+    left = _reject(normalize_components(tangent), n)
+    given = dot(left, left) > (8.0 * torch.finfo(n.z.dtype).eps) ** 2
+    # Once more, because the first subtraction cancels for a tangent close to n ("twice is enough": Giraud et al. 2005).
+    exact = normalize_components(_reject(normalize_components(left), n))
+    return Vec(*(torch.where(given, t, d) for t, d in zip(exact, otherwise, strict=True)))
+
+
+def _reject(v: Vec, n: Vec) -> Vec:
+    return subtract(v, scale(n, dot(v, n)))
 
 
 def each(formula: Callable[..., Tensor], *colours: Sequence[Tensor]) -> tuple[Tensor, ...]:
     """Map a formula over channels; a colour with a single channel serves them all."""
     count = max(map(len, colours))
+    if any(len(c) not in (1, count) for c in colours):
+        raise ValueError(f"colours have different numbers of channels: {[len(c) for c in colours]}; use one C, or 1")
     return tuple(formula(*(c[k] if len(c) > 1 else c[0] for c in colours)) for k in range(count))
 
 
@@ -212,13 +244,16 @@ class Geometry:
 
     def colour(self, parameter: Tensor) -> tuple[Tensor, ...]:
         """A parameter ``[..., C]`` as the channels that a formula maps over."""
-        p = numerics.widen(parameter)
-        return (p,) if self.wide else p.unbind(-1)
+        return (self._beside(parameter),) if self.wide else numerics.widen(parameter).unbind(-1)
 
     def scalar(self, parameter: Tensor) -> Tensor:
         """A parameter ``[..., 1]`` in the shape of the invariants."""
+        return self._beside(parameter) if self.wide else numerics.widen(parameter).squeeze(-1)
+
+    def _beside(self, parameter: Tensor) -> Tensor:
+        """Taken apart, an unbatched parameter follows the dtype and device of the points by itself; whole, it is converted."""
         p = numerics.widen(parameter)
-        return p if self.wide else p.squeeze(-1)
+        return p.to(self.wo.z) if p.dim() == 1 else p
 
     @memo
     def cos_i(self) -> Tensor:

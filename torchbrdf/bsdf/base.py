@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from .. import numerics, vector
+from ..optics.fresnel import Fresnel
 from ..value import Value
 from ..vector import Geometry, Vec
 
@@ -62,6 +63,22 @@ class Bsdf(Value):
     reciprocal: bool = True
     normalization: str
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        term = getattr(self, "fresnel", None)
+        if term is not None and not isinstance(term, Fresnel):
+            raise TypeError(
+                f"{type(self).__name__}.fresnel: expected a Fresnel term such as Schlick(f0) or None, found {type(term).__name__}"
+            )
+
+    def check_shapes(self) -> None:
+        """As every value; and what it holds (Fresnel terms, other models) must have the same channels, or 1."""
+        super().check_shapes()
+        held = [v for v in self.nested() if isinstance(v, Bsdf | Fresnel)]
+        counts = [("own parameters", _widest(self)), *((type(v).__name__, v.channels) for v in held)]
+        if len({c for _, c in counts} - {1}) > 1:
+            raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
+
     @abstractmethod
     def formula(self, g: Geometry) -> Channels:
         """f in 1/sr per channel, finite for every pair of directions; the caller masks the horizon."""
@@ -83,14 +100,24 @@ class Bsdf(Value):
         """Upper bound ``[..., C]`` of the directional albedo over all directions; None where the model promises none."""
         return None
 
+    def kink_distance(self, g: Geometry) -> Tensor:
+        """How far ``[...]`` (in cosines) a geometry is from where f is not smooth: from the horizon, unless a model adds to it.
+
+        Derivatives are claimed, and checked, where this is positive.
+        """
+        return torch.minimum(g.cos_i, g.cos_o)
+
     def select(self, lobes: Iterable[Lobe]) -> "Bsdf | None":
         """The part of this model made of the given kinds of lobe; None if nothing is left."""
         return self if set(self.lobes) & set(lobes) else None
 
-    def evaluate(self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False) -> Tensor:
+    def evaluate(
+        self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False
+    ) -> Tensor:
         """f(wi, wo) in 1/sr, ``[..., C]``, without the cosine. 0 unless both directions are strictly above the horizon."""
         g = self.geometry(wi, wo, n, tangent, assume_unit)
-        return join([torch.where(g.lit, f, 0.0) for f in self.formula(g)], g.wide).to(wi.dtype)
+        lit = g.lit.to(g.cos_i.dtype)
+        return join([f * lit for f in self.formula(g)], g.wide).to(wi.dtype)
 
     def pdf(self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False) -> Tensor:
         """Density ``[..., 1]`` per steradian with which :meth:`sample` gives ``wi`` for ``wo``. Integrates to 1 over the sphere."""
@@ -98,12 +125,16 @@ class Bsdf(Value):
         density = torch.where(g.cos_o > 0, self.density(g), 0.0)
         return (density if g.wide else density.unsqueeze(-1)).to(wi.dtype)
 
-    def sample(self, wo: Tensor, u: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False) -> BSDFSample:
+    def sample(
+        self, wo: Tensor, u: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False
+    ) -> BSDFSample:
         """Draw ``wi`` for ``wo`` from uniform ``u [..., 2]`` in [0, 1)."""
         if u.shape[-1] != 2:
             raise ValueError(f"u: expected shape [..., 2] of numbers in [0, 1), found {list(u.shape)}")
+        check_same_kind(self, wo, "wo")
         wide = self.is_wide
-        wo_c, n_c, t_c = (_take(v, name, wide, assume_unit) for v, name in ((wo, "wo"), (n, "n"), (tangent, "tangent")))
+        wo_c = _take(wo, "wo", wide, assume_unit)
+        n_c, t_c = (_take_if(v, name, wide, assume_unit) for v, name in ((n, "n"), (tangent, "tangent")))
         u_c = [numerics.widen(x.unsqueeze(-1) if wide else x) for x in u.unbind(-1)]
         if n_c is None:
             axes, local = None, wo_c
@@ -150,18 +181,20 @@ class Bsdf(Value):
     @property
     def channels(self) -> int:
         """C, the number of colour channels of the result."""
-        own = [t.shape[-1] for _, t, s in self.own_tensors() if s.size is None]
-        return max(own + [v.channels if isinstance(v, Bsdf) else _widest(v) for v in self.nested()], default=1)
+        return max(_widest(self), *(v.channels for v in self.nested() if isinstance(v, Bsdf | Fresnel)), 1)
 
-    def geometry(self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, assume_unit: bool = False) -> Geometry:
+    def geometry(
+        self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, assume_unit: bool = False
+    ) -> Geometry:
         """Check the directions against the parameters and take them apart."""
         check_same_kind(self, wi, "wi")
         for name, other in (("wo", wo), ("n", n), ("tangent", tangent)):
             if other is not None and (other.dtype != wi.dtype or other.device != wi.device):
                 raise TypeError(f"{name}: {_kind(other)} beside wi: {_kind(wi)}; convert one with .to(...)")
         wide = self.is_wide
-        wi_c, wo_c, n_c, t_c = (_take(v, k, wide, assume_unit) for v, k in ((wi, "wi"), (wo, "wo"), (n, "n"), (tangent, "tangent")))
-        return Geometry(wi_c, wo_c, n_c if n_c is not None else _local_normal(wi_c), t_c, wide)
+        wi_c, wo_c = (_take(v, name, wide, assume_unit) for v, name in ((wi, "wi"), (wo, "wo")))
+        n_c, t_c = (_take_if(v, name, wide, assume_unit) for v, name in ((n, "n"), (tangent, "tangent")))
+        return Geometry(wi_c, wo_c, n_c if n_c is not None else local_normal(wi_c), t_c, wide)
 
     def __add__(self, other: "Bsdf") -> "Bsdf":
         from .combine import Sum
@@ -171,7 +204,7 @@ class Bsdf(Value):
     def __mul__(self, scale: Tensor | float) -> "Bsdf":
         from .combine import Scaled
 
-        return Scaled(self, scale)
+        return Scaled(self, scale)  # type: ignore[arg-type]
 
     __rmul__ = __mul__
 
@@ -194,9 +227,11 @@ def check_same_kind(v: Value, reference: Tensor, name: str) -> None:
         check_same_kind(inner, reference, name)
 
 
-def _take(v: Tensor | None, name: str, wide: bool, assume_unit: bool) -> Vec | None:
-    if v is None:
-        return None
+def _take_if(v: Tensor | None, name: str, wide: bool, assume_unit: bool) -> Vec | None:
+    return None if v is None else _take(v, name, wide, assume_unit)
+
+
+def _take(v: Tensor, name: str, wide: bool, assume_unit: bool) -> Vec:
     if v.shape[-1:] != (3,):
         raise ValueError(f"{name}: expected shape [..., 3], found {list(v.shape)}")
     c = vector.components(numerics.widen(v))
@@ -205,7 +240,8 @@ def _take(v: Tensor | None, name: str, wide: bool, assume_unit: bool) -> Vec | N
     return Vec(*(x.unsqueeze(-1) for x in c)) if wide else c
 
 
-def _local_normal(w: Vec) -> Vec:
+def local_normal(w: Vec) -> Vec:
+    """The z axis, in the shape of ``w``."""
     zero = torch.zeros_like(w.x)
     return Vec(zero, zero, torch.ones_like(w.x))
 
@@ -216,9 +252,17 @@ def join(channels: Iterable[Tensor], wide: bool) -> Tensor:
     return parts[0] if wide else vector.stack(parts)
 
 
+def nearest(*distances: Tensor) -> Tensor:
+    """The smallest of some distances, elementwise."""
+    least = distances[0]
+    for d in distances[1:]:
+        least = torch.minimum(least, d)
+    return least
+
+
 def draw_from(model: Bsdf, wi: Vec, wo: Vec, wide: bool) -> Draw:
     """Finish a non-delta sample: weight = f cos / pdf from the model's own formula and density."""
-    g = Geometry(wi, wo, _local_normal(wi), None, wide)
+    g = Geometry(wi, wo, local_normal(wi), None, wide)
     pdf = model.density(g)
     factor = torch.where(g.lit, wi.z * numerics.reciprocal_or_zero(pdf), 0.0)
     return Draw(wi, tuple(f * factor for f in model.formula(g)), pdf, torch.zeros_like(pdf, dtype=torch.int64))

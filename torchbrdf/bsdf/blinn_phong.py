@@ -29,8 +29,8 @@ from .. import numerics, vector
 from ..optics.fresnel import Fresnel
 from ..value import UNIT, param, value
 from ..vector import Geometry, Vec
-from .base import Bsdf, Channels, Draw, Lobe, draw_from
-from .phong import EXPONENT, cosine_power_direction, tinted
+from .base import Bsdf, Channels, Draw, Lobe, draw_from, nearest
+from .phong import EXPONENT, cosine_power_direction, fresnel_kink, tinted
 
 
 def normal_view_factor(s: Tensor) -> Tensor:
@@ -61,6 +61,10 @@ class BlinnPhong(Bsdf):
         s = Geometry(wo, wo, wo, None, wide).scalar(self.exponent)
         h = cosine_power_direction(u, s + 2.0)
         return draw_from(self, vector.reflect_components(wo, h), wo, wide)
+
+    def kink_distance(self, g: Geometry) -> Tensor:
+        """The missing half vector of wi = -wo, too, and what is not smooth about F."""
+        return nearest(super().kink_distance(g), g.wi_h, fresnel_kink(self.fresnel, g))
 
     @property
     def energy_bound(self) -> Tensor:

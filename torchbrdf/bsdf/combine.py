@@ -12,7 +12,7 @@ from torch import Tensor
 from .. import numerics
 from ..value import Interval, param, value
 from ..vector import Geometry, Vec, each
-from .base import Bsdf, Channels, Draw, Lobe
+from .base import Bsdf, Channels, Draw, Lobe, local_normal, nearest
 
 
 @value
@@ -22,11 +22,11 @@ class Sum(Bsdf):
     terms: tuple[Bsdf, ...]
 
     def __post_init__(self) -> None:
+        if not self.terms or not all(isinstance(t, Bsdf) for t in self.terms):
+            raise TypeError(f"Sum.terms: expected one BSDF or more, found {[type(t).__name__ for t in self.terms]}")
         flat = [inner for t in self.terms for inner in (t.terms if isinstance(t, Sum) else (t,))]
         object.__setattr__(self, "terms", tuple(flat))
-        counts = {t.channels for t in flat} - {1}
-        if len(counts) > 1:
-            raise ValueError(f"Sum: terms have different numbers of colour channels: {sorted(counts)}; use one C, or 1")
+        super().__post_init__()
 
     @property
     def lobes(self) -> tuple[Lobe, ...]:  # type: ignore[override]
@@ -38,8 +38,11 @@ class Sum(Bsdf):
 
     @property
     def energy_bound(self) -> Tensor | None:
-        bounds = [t.energy_bound for t in self.terms]
-        return None if any(b is None for b in bounds) else sum(bounds[1:], bounds[0])  # type: ignore[arg-type]
+        bounds = [b for t in self.terms if (b := t.energy_bound) is not None]
+        return sum(bounds[1:], bounds[0]) if len(bounds) == len(self.terms) else None
+
+    def kink_distance(self, g: Geometry) -> Tensor:
+        return nearest(*(t.kink_distance(g) for t in self.terms))
 
     def select(self, lobes: Iterable[Lobe]) -> Bsdf | None:
         kinds = tuple(lobes)
@@ -53,18 +56,18 @@ class Sum(Bsdf):
         return _total([t.mirror_reflectance(g) for t in self.terms])
 
     def density(self, g: Geometry) -> Tensor:
-        shares = self._shares(g.wo_local(), g.wide)
+        shares = self._shares(g)
         return sum((p * t.density(g) for p, t in zip(shares, self.terms, strict=True)), torch.zeros_like(g.cos_i))
 
-    def _shares(self, wo: Vec, wide: bool) -> list[Tensor]:
-        """The probability of each term; equal ones where nothing reflects."""
-        weights = [t.mixture_weight(wo, wide) for t in self.terms]
+    def _shares(self, g: Geometry) -> list[Tensor]:
+        """The probability of each term; equal ones where nothing reflects. Sampler and pdf must agree on it, frame or no frame."""
+        weights = [t.mixture_weight(g.wo_local(), g.wide) for t in self.terms]
         total = sum(weights[1:], weights[0])
         return [torch.where(total > 0, w / torch.where(total > 0, total, 1.0), 1.0 / len(weights)) for w in weights]
 
     def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
         """Choose a term with ``u.x``, stretch its interval back to [0, 1), and sample the term with it."""
-        shares = self._shares(wo, wide)
+        shares = self._shares(Geometry(wo, wo, local_normal(wo), None, wide))
         below = torch.zeros_like(shares[0])
         chosen: Draw | None = None
         offset = 0
@@ -86,7 +89,7 @@ class Sum(Bsdf):
         alone = numerics.reciprocal_or_zero(share.expand_as(d.pdf))
         if all(kind.is_delta for kind in term.lobes):
             return Draw(d.wi, tuple(w * alone for w in d.weight), d.pdf * share, lobe)
-        g = Geometry(d.wi, wo, Vec(torch.zeros_like(d.wi.z), torch.zeros_like(d.wi.z), torch.ones_like(d.wi.z)), None, wide)
+        g = Geometry(d.wi, wo, local_normal(d.wi), None, wide)
         pdf = self.density(g)
         factor = torch.where(g.lit, g.cos_i * numerics.reciprocal_or_zero(pdf), 0.0)
         weight = each(lambda f, w: torch.where(deltas, w * alone, f * factor), self.formula(g), d.weight)
@@ -118,6 +121,9 @@ class Scaled(Bsdf):
         bound = self.inner.energy_bound
         return None if bound is None else bound * self.factor
 
+    def kink_distance(self, g: Geometry) -> Tensor:
+        return self.inner.kink_distance(g)
+
     def select(self, lobes: Iterable[Lobe]) -> Bsdf | None:
         kept = self.inner.select(lobes)
         return None if kept is None else Scaled(kept, self.factor)
@@ -138,7 +144,8 @@ class Scaled(Bsdf):
 
     def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
         """``factor`` times the inner albedo."""
-        return (self.inner.directional_albedo(wo, n, order=order) * self.factor).to(wo.dtype)
+        inner = self.inner.directional_albedo(wo, n, order=order)
+        return (inner * (self.factor.to(inner) if self.factor.dim() == 1 else self.factor)).to(wo.dtype)
 
 
 def _total(parts: list[Channels]) -> Channels:

@@ -25,7 +25,7 @@ from torch import Tensor
 from .. import numerics
 from ..value import UNIT, param, value
 from ..vector import Geometry, Vec
-from .base import Bsdf, Channels, Draw, Lobe, draw_from
+from .base import Bsdf, Channels, Draw, Lobe, draw_from, join
 
 
 @value
@@ -51,8 +51,9 @@ class Lambert(Bsdf):
 
     def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
         """``albedo`` above the horizon, exactly."""
-        up = self.geometry(wo, wo, n).cos_o
-        return torch.where((up if self.is_wide else up.unsqueeze(-1)) > 0, self.albedo, 0.0).to(wo.dtype)
+        g = self.geometry(wo, wo, n)
+        up = (g.cos_o > 0).to(g.cos_o.dtype)
+        return join([a * up for a in g.colour(self.albedo)], g.wide).to(wo.dtype)
 
     @property
     def energy_bound(self) -> Tensor:

@@ -24,7 +24,7 @@ from torch import Tensor
 from ..optics.fresnel import Fresnel
 from ..value import UNIT, param, value
 from ..vector import Geometry, Vec, each
-from .base import Bsdf, Channels, Draw, Lobe, join
+from .base import Bsdf, Channels, Draw, Lobe, join, nearest
 
 
 @value
@@ -54,13 +54,18 @@ class Mirror(Bsdf):
 
     def reflectance(self, g: Geometry, cos: Tensor) -> Channels:
         """``tint F(cos)`` per channel."""
-        tint = g.colour(self.tint)
-        return each(lambda t, f: t * f, tint, self.fresnel.terms(g, cos)) if self.fresnel else each(lambda t: t + torch.zeros_like(cos), tint)
+        fresnel = self.fresnel.terms(g, cos) if self.fresnel else (torch.ones_like(cos),)
+        return each(lambda t, f: t * f, g.colour(self.tint), fresnel)
 
     def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
         """``tint F(cos)`` above the horizon, exactly."""
         g = self.geometry(wo, wo, n)
         return join([torch.where(g.cos_o > 0, r, 0.0) for r in self.reflectance(g, g.cos_o)], g.wide).to(wo.dtype)
+
+    def kink_distance(self, g: Geometry) -> Tensor:
+        """The horizon, and what is not smooth about F."""
+        horizon = super().kink_distance(g)
+        return horizon if self.fresnel is None else nearest(horizon, self.fresnel.kink_distance(g, g.cos_o))
 
     @property
     def energy_bound(self) -> Tensor:

@@ -35,11 +35,11 @@ from torch import Tensor
 
 from .. import numerics, vector
 from ..optics.fresnel import Fresnel
-from ..value import Interval, NONNEGATIVE, param, value
+from ..value import NONNEGATIVE, Interval, param, value
 from ..vector import Geometry, Vec, each
-from .base import Bsdf, Channels, Draw, Lobe, draw_from
+from .base import Bsdf, Channels, Draw, Lobe, draw_from, nearest
 
-EXPONENT = Interval(0.0, typical=(1.0, 200.0))
+EXPONENT = Interval(0.0, typical=(1.0, 200.0), hard=(0.5, 1e7))
 NORMALIZATIONS = {
     "none": lambda s: torch.ones_like(s),
     "bound": lambda s: (s + 1.0) / (2.0 * math.pi),
@@ -79,6 +79,10 @@ class Phong(Bsdf):
         axes = vector.frame_components(mirror)
         return draw_from(self, vector.combine(axes, cosine_power_direction(u, s + 1.0)), wo, wide)
 
+    def kink_distance(self, g: Geometry) -> Tensor:
+        """The edge of the lobe, too, and what is not smooth about F."""
+        return nearest(super().kink_distance(g), (1.0 - g.mirror_complement).abs(), fresnel_kink(self.fresnel, g))
+
     @property
     def energy_bound(self) -> Tensor | None:
         return None if self.normalization == "none" else self.specular
@@ -89,6 +93,11 @@ def tinted(g: Geometry, specular: Tensor, fresnel: Fresnel | None, lobe: Tensor)
     if fresnel is None:
         return tuple(k * lobe for k in g.colour(specular))
     return each(lambda k, f: k * f * lobe, g.colour(specular), fresnel.terms(g, g.wi_h))
+
+
+def fresnel_kink(fresnel: Fresnel | None, g: Geometry) -> Tensor:
+    """How far F(wi.h) is from where it is not smooth, as it is where there is no half vector."""
+    return g.wi_h if fresnel is None else torch.minimum(g.wi_h, fresnel.kink_distance(g, g.wi_h))
 
 
 def cosine_power_direction(u: Vec, power: Tensor) -> Vec:

@@ -19,15 +19,17 @@ import torch
 from torch import Tensor
 
 from .. import numerics
-from ..value import Interval, UNIT, Value, param, value
+from ..value import UNIT, Interval, Value, param, value
 from ..vector import Geometry, each, stack
 
-ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5))
+ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0))
 
 
-def _tensors(*xs: Tensor | float) -> list[Tensor]:
+def _tensors(*xs: Tensor | float) -> tuple[list[Tensor], torch.dtype]:
+    """The arguments in the dtype to compute in, and the dtype of the result (half types are rounded once, at the end)."""
     like = next((x for x in xs if isinstance(x, Tensor)), torch.zeros(()))
-    return [x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=like.dtype, device=like.device) for x in xs]
+    made = [x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=like.dtype, device=like.device) for x in xs]
+    return [numerics.widen(x) for x in made], like.dtype
 
 
 def dielectric(cos_i: Tensor, eta: Tensor | float) -> Tensor:
@@ -36,7 +38,7 @@ def dielectric(cos_i: Tensor, eta: Tensor | float) -> Tensor:
     ``cos_i`` in [0, 1], ``eta`` > 0, broadcast. 1 under total internal reflection (``g^2 <= 0``), with gradient 0; 0
     everywhere at eta = 1, grazing included.
     """
-    c, n = _tensors(cos_i, eta)
+    (c, n), dtype = _tensors(cos_i, eta)
     c = numerics.unit_interval(c)
     g2 = numerics.eta2_minus_sin2(c, n)
     matched = n == 1
@@ -48,7 +50,7 @@ def dielectric(cos_i: Tensor, eta: Tensor | float) -> Tensor:
     r_s = delta / (a * a)
     r_p = delta * (n2 * c * c - (1.0 - c) * (1.0 + c)) / (b * b)
     exact = numerics.at_most_one(0.5 * (r_s * r_s + r_p * r_p))
-    return torch.where(partial, exact, torch.where(matched, 0.0, 1.0))
+    return numerics.rounded_back(torch.where(partial, exact, torch.where(matched, 0.0, 1.0)), dtype)
 
 
 def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
@@ -56,7 +58,7 @@ def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
 
     ``cos_i`` in [0, 1], ``eta`` > 0, ``k`` >= 0, broadcast. ``k = 0`` is the dielectric, one-sided derivative included.
     """
-    c, n, k = _tensors(cos_i, eta, k)
+    (c, n, k), dtype = _tensors(cos_i, eta, k)
     c = numerics.unit_interval(c)
     vacuum = (n == 1) & (k == 0)
     s2 = (1.0 - c) * (1.0 + c)
@@ -66,7 +68,7 @@ def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
     senkrecht = ((a - c) * (a - c) + b2) / ((a + c) * (a + c) + b2)
     ac, b2c2 = a * c, b2 * c * c
     quotient = ((ac - s2) * (ac - s2) + b2c2) / ((ac + s2) * (ac + s2) + b2c2)
-    return torch.where(vacuum, 0.0, numerics.at_most_one(0.5 * senkrecht * (1.0 + quotient)))
+    return numerics.rounded_back(torch.where(vacuum, 0.0, numerics.at_most_one(0.5 * senkrecht * (1.0 + quotient))), dtype)
 
 
 def _refracted_root(real: Tensor, half_imag: Tensor) -> tuple[Tensor, Tensor]:
@@ -74,19 +76,25 @@ def _refracted_root(real: Tensor, half_imag: Tensor) -> tuple[Tensor, Tensor]:
     degenerate = (real == 0) & (half_imag == 0)
     t = torch.where(degenerate, 1.0, real)
     modulus = torch.hypot(t, 2.0 * half_imag)
-    large = torch.sqrt(0.5 * (modulus + t.abs()))
+    forward = t >= 0
+    # not t.abs(), whose slope of 0 at 0 would halve the gradient there
+    large = torch.sqrt(0.5 * (modulus + torch.where(forward, t, -t)))
     small = half_imag / large
-    a = torch.where(real >= 0, large, small)
-    b = torch.where(real >= 0, small, large)
+    a = torch.where(forward, large, small)
+    b = torch.where(forward, small, large)
     return torch.where(degenerate, 0.0, a), torch.where(degenerate, 0.0, b)
 
 
 def schlick(cos_i: Tensor, f0: Tensor | float) -> Tensor:
     """Schlick's approximation from the reflectance ``f0`` in [0, 1] at normal incidence; ``cos_i`` in [0, 1], broadcast."""
-    c, f0 = _tensors(cos_i, f0)
-    m = 1.0 - numerics.unit_interval(c)
+    (c, f0), dtype = _tensors(cos_i, f0)
+    grazing = _fifth_power(1.0 - numerics.unit_interval(c))
+    return numerics.rounded_back(f0 * (1.0 - grazing) + grazing, dtype)
+
+
+def _fifth_power(m: Tensor) -> Tensor:
     m2 = m * m
-    return f0 + (1.0 - f0) * (m2 * m2 * m)
+    return m2 * m2 * m
 
 
 class Fresnel(Value):
@@ -94,11 +102,20 @@ class Fresnel(Value):
 
     @abstractmethod
     def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
-        """Channels at the cosine ``[...]``, in the layout of ``g``."""
+        """Channels at the cosine ``[...]`` of [0, 1] (up to rounding), in the layout of ``g``."""
+
+    def kink_distance(self, g: Geometry, cos: Tensor) -> Tensor:
+        """How far the cosine ``[...]`` is from where the term is not smooth; nowhere, unless a term says otherwise."""
+        return torch.ones_like(cos)
+
+    @property
+    def channels(self) -> int:
+        """C, the number of colour channels of the result."""
+        return max((t.shape[-1] for _, t, s in self.own_tensors() if s.size is None), default=1)
 
     def reflectance(self, cos_i: Tensor) -> Tensor:
         """Reflectance ``[..., C]`` at ``cos_i [..., 1]``."""
-        z = numerics.widen(cos_i[..., 0] if cos_i.shape[-1:] == (1,) else _need_trailing_one(cos_i))
+        z = numerics.unit_interval(numerics.widen(cos_i.squeeze(-1) if cos_i.shape[-1:] == (1,) else _need_trailing_one(cos_i)))
         return stack(self.terms(Geometry.of_cosine(z), z)).to(cos_i.dtype)
 
 
@@ -115,13 +132,18 @@ class Dielectric(Fresnel):
     def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
         return each(lambda eta: dielectric(cos, eta), g.colour(self.eta))
 
+    def kink_distance(self, g: Geometry, cos: Tensor) -> Tensor:
+        """The distance of g^2 from 0, its value at the critical angle."""
+        away = [(cos * cos - (1.0 - eta) * (1.0 + eta)).abs() for eta in g.colour(self.eta)]
+        return torch.stack(torch.broadcast_tensors(*away)).amin(0)
+
 
 @value
 class Conductor(Fresnel):
     """Exact conductor term (:func:`conductor`) of the complex index ``eta + i k``, one value per channel."""
 
-    eta: Tensor = param(Interval(0.0, open_low=True, typical=(0.1, 3.0)), None, "real part of the index")
-    k: Tensor = param(Interval(0.0, typical=(0.5, 7.0)), None, "imaginary part of the index")
+    eta: Tensor = param(Interval(0.0, open_low=True, typical=(0.1, 3.0), hard=(0.5, 1.0, 10.0)), None, "real part of the index")
+    k: Tensor = param(Interval(0.0, typical=(0.5, 7.0), hard=(1e3,)), None, "imaginary part of the index")
 
     def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
         return each(lambda eta, k: conductor(cos, eta, k), g.colour(self.eta), g.colour(self.k))
@@ -132,7 +154,7 @@ class Conductor(Fresnel):
         from .metals import index_at
 
         eta, k = index_at(metal, wavelengths)
-        return Conductor(eta, k)
+        return Conductor(torch.tensor(eta, dtype=torch.float64), torch.tensor(k, dtype=torch.float64))
 
 
 @value
@@ -142,4 +164,6 @@ class Schlick(Fresnel):
     f0: Tensor = param(UNIT, None, "reflectance at normal incidence")
 
     def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
-        return each(lambda f0: schlick(cos, f0), g.colour(self.f0))
+        grazing = _fifth_power(1.0 - cos)  # once for all channels
+        rest = 1.0 - grazing
+        return each(lambda f0: f0 * rest + grazing, g.colour(self.f0))
