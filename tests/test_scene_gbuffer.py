@@ -182,7 +182,7 @@ def test_the_triangle_is_right_for_a_far_camera_and_a_far_mesh():
     moved = camera((64, 64)).replace(origin=camera().origin + shift)
     far_mesh = tb.GBuffer.from_mesh(mesh.replace(vertices=mesh.vertices + shift), moved)
     assert (near.triangle == far_mesh.triangle).double().mean() > 0.999  # all but rays within float32 rounding of an edge
-    away = tb.Camera.look_at([0.0, 0.0, 1e6], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 1.5e-4, (64, 64))
+    away = tb.Camera.look_at([4e5, 5e5, 7.7e5], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 1.5e-4, (64, 64))
     g = tb.GBuffer.from_mesh(mesh, away)
     assert g.barycentric[g.mask.squeeze(-1)].min() > -1e-3  # of small triangles; without the shortened rays whole triangles are missed
 

@@ -139,6 +139,8 @@ def test_a_g_buffer_without_geometric_normals_takes_them_from_the_mesh():
     assert (tb.visibility(bare, sun, mesh) == full).float().mean() > 0.98  # shading normals differ near the terminator
     broken = g.replace(position=torch.where(g.mask, g.position, float("nan")))
     assert torch.equal(tb.visibility(broken, sun, mesh), full)
+    left = torch.arange(96).reshape(1, -1, 1) < 48
+    assert torch.equal(tb.visibility(g.replace(mask=g.mask & left), sun, mesh), full * left)
 
 
 def away_from_edges(g, pixels=2, jump=0.02):

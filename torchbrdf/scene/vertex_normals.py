@@ -25,7 +25,9 @@ def angle_weighted(vertices: Tensor, faces: Tensor) -> Tensor:
     """
     index = faces.t().to(torch.int64)
     a, b, c = (gather_vectors(vertices, i) for i in index.unbind(0))
-    normal, doubled_area = vector.direction_and_length(vector.cross(vector.subtract(b, a), vector.subtract(c, a)))
+    plane = vector.cross(vector.subtract(b, a), vector.subtract(c, a))
+    normal = vector.normalize_components(plane)
+    doubled_area = dot(plane, normal)  # the length of plane, and 0 with gradient 0 where there is none
     total = vertices.new_zeros(3, vertices.shape[0])
     for corner, (at, left, right) in zip(index.unbind(0), ((a, b, c), (b, c, a), (c, a, b)), strict=True):
         angle = _corner_angle(doubled_area, dot(vector.subtract(left, at), vector.subtract(right, at)))
