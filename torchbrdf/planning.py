@@ -113,8 +113,9 @@ def plan(
     if shadow not in ("auto", "off"):
         raise ValueError(f"shadow: found {shadow!r}, legal are 'auto' and 'off'")
     sources = as_list(lights)
-    for checked in (bsdf, *sources):
-        validate(checked)
+    if not _inside_a_graph():
+        for checked in (bsdf, *sources):
+            validate(checked)
     _check_shapes(g, bsdf)
     can_shadow = (mesh is not None or visibility is not None) and shadow == "auto"
     local = sum(len(s) for s in sources if isinstance(s, LocalLight))
@@ -135,6 +136,11 @@ def shade(
     """Radiance ``[..., H, W, C]`` of a G-buffer: :func:`plan` and run in one call. ``mesh=`` lets that mesh cast shadows."""
     found = plan(g, bsdf, lights, mesh, visibility=visibility, shadow=shadow)
     return found(g, bsdf, lights, mesh=mesh, visibility=visibility, per_light=per_light)
+
+
+def _inside_a_graph() -> bool:
+    """Compiled graphs and transforms hold no values to look at: ranges are checked outside them."""
+    return torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None
 
 
 def _check_shapes(g: GBuffer, bsdf: Bsdf) -> None:

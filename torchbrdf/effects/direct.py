@@ -6,30 +6,34 @@ with E_l the irradiance on a plane facing light l and V_l its visibility. Exact 
 reflection equation is a sum. Strict horizon: 0 unless both cosines are positive.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from ..bsdf.base import Bsdf, Channels, Lobe
+from .. import numerics
+from ..bsdf.base import Bsdf, Lobe
 from ..light.base import Light, LocalLight
 from ..vector import each
-from .base import Surface, rows_of
+from .base import Contribution, Surface, rows_of
 
 LOBES = tuple(lobe for lobe in Lobe if not lobe.is_delta)
 
 
-def direct(bsdf: Bsdf, surface: Surface, lights: Sequence[Light], visibility: Tensor | None) -> Iterator[tuple[int, Channels]]:
+def direct(bsdf: Bsdf, surface: Surface, lights: Sequence[Light], visibility: Tensor | None) -> list[Contribution]:
     """Radiance of every local light. ``visibility [L, ..., 1]`` counts the local lights alone."""
     seen = 0
+    found: list[Contribution] = []
     for first, light in rows_of(lights, LocalLight):
         for k, arrival in enumerate(light.arrivals(surface.position, surface.wide)):
             g = surface.towards(arrival.wi)
-            strength = g.cos_i if arrival.falloff is None else g.cos_i * arrival.falloff
+            strength = numerics.positive(g.cos_i) * surface.seen
+            if arrival.falloff is not None:
+                strength = strength * arrival.falloff
             if visibility is not None:
                 unshadowed = visibility[seen + k]
                 strength = strength * (unshadowed if surface.wide else unshadowed.squeeze(-1))
-            lit = torch.where(g.lit & surface.valid, strength, 0.0)
-            irradiance = tuple(e * lit for e in arrival.colour)
-            yield first + k, each(lambda f, e: f * e, bsdf.formula(g), irradiance)
+            irradiance = tuple(e * strength for e in arrival.colour)
+            found.append((first + k, each(torch.mul, bsdf.formula(g), irradiance)))
         seen += len(light)
+    return found

@@ -6,29 +6,30 @@ Exact for delta reflection: the reflection equation collapses to one look-up. Th
 interreflection), and point lights never are: a delta lobe meets a delta light with probability 0.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from .. import vector
-from ..bsdf.base import Bsdf, Channels, Lobe
+from ..bsdf.base import Bsdf, Lobe
 from ..light.base import Light
 from ..light.environment import EnvironmentMap
 from ..vector import each
-from .base import Surface, rows_of
+from .base import Contribution, Surface, rows_of
 
 LOBES = (Lobe.MIRROR,)
 
 
-def mirror(bsdf: Bsdf, surface: Surface, lights: Sequence[Light], visibility: Tensor | None) -> Iterator[tuple[int, Channels]]:
+def mirror(bsdf: Bsdf, surface: Surface, lights: Sequence[Light], visibility: Tensor | None) -> list[Contribution]:
     """Radiance that the mirror lobes reflect from every environment map."""
     wi = vector.reflect_components(surface.wo, surface.n)
     g = surface.towards(wi)
-    up = surface.valid & (surface.cos_o > 0)
-    weights = tuple(torch.where(up, w, 0.0) for w in bsdf.mirror_reflectance(g))
+    weights = tuple(w * surface.seen for w in bsdf.mirror_reflectance(g))
+    found: list[Contribution] = []
     for row, light in rows_of(lights, EnvironmentMap):
         flat = vector.stack([c.squeeze(-1) for c in wi] if surface.wide else wi)
         seen = g.colour(light.radiance(flat))
-        yield row, each(lambda w, e: w * e, weights, seen)
+        found.append((row, each(torch.mul, weights, seen)))
+    return found
 

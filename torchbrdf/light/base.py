@@ -1,7 +1,6 @@
 """What every light answers. Local lights (points, directions) are lists ``[L, 3]`` that a shading point looks up one by one."""
 
 from abc import abstractmethod
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -41,7 +40,7 @@ class LocalLight(Light):
         return int(self.batch_shape[0])
 
     @abstractmethod
-    def arrivals(self, points: Vec, wide: bool) -> Iterator[Arrival]:
+    def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
         """One :class:`Arrival` per light at ``points`` (components ``[...]``)."""
 
     @abstractmethod
@@ -57,10 +56,10 @@ class LocalLight(Light):
             strength.append(vector.stack([c * (one if a.falloff is None else a.falloff) for c in a.colour]))
         return torch.stack(wi).to(points.dtype), torch.stack(strength).to(points.dtype)
 
-    def rows(self, like: Tensor) -> Iterator[tuple[Tensor, ...]]:
+    def rows(self, like: Tensor) -> list[tuple[Tensor, ...]]:
         """The parameters of one light after the other, in the dtype and on the device of ``like``."""
         tensors = [numerics.widen(t).to(like).expand(len(self), t.shape[-1]) for _, t, _ in self.own_tensors()]
-        yield from zip(*(t.unbind(0) for t in tensors), strict=True)
+        return list(zip(*[t.unbind(0) for t in tensors], strict=True))
 
 
 def channels(colour: Tensor, wide: bool) -> tuple[Tensor, ...]:

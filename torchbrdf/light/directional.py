@@ -8,8 +8,6 @@ irradiance  [L, C] >= 0, W/m^2    on a plane that faces the light
 ==========  ====================  ==============================================
 """
 
-from collections.abc import Iterator
-
 import torch
 from torch import Tensor
 
@@ -26,9 +24,8 @@ class DirectionalLight(LocalLight):
     direction: Tensor = param(REAL, 3, "to the light")
     irradiance: Tensor = param(NONNEGATIVE, None, "on a plane facing the light, W/m^2")
 
-    def arrivals(self, points: Vec, wide: bool) -> Iterator[Arrival]:
-        for direction, irradiance in self.rows(points.x):
-            yield Arrival(vector.normalize_components(Vec(*direction.unbind(-1))), None, channels(irradiance, wide))
+    def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
+        return [Arrival(vector.normalize_components(Vec(*d.unbind(-1))), None, channels(e, wide)) for d, e in self.rows(points.x)]
 
     def shadow_targets(self, points: Tensor) -> tuple[Tensor, Tensor]:
         lead = (len(self),) + (1,) * (points.dim() - 1)

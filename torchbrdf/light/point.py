@@ -12,11 +12,9 @@ intensity  [L, C] >= 0, W/sr    radiant intensity, per channel
 A point that coincides with a light receives nothing from it (gradient 0). Source: Lambert 1760.
 """
 
-from collections.abc import Iterator
-
 from torch import Tensor
 
-from .. import numerics, vector
+from .. import vector
 from ..value import NONNEGATIVE, REAL, param, value
 from ..vector import Vec
 from .base import Arrival, LocalLight, channels
@@ -29,11 +27,13 @@ class PointLight(LocalLight):
     position: Tensor = param(REAL, 3, "where the lights are")
     intensity: Tensor = param(NONNEGATIVE, None, "radiant intensity, W/sr")
 
-    def arrivals(self, points: Vec, wide: bool) -> Iterator[Arrival]:
+    def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
+        found = []
         for position, intensity in self.rows(points.x):
             towards = vector.subtract(Vec(*position.unbind(-1)), points)
-            wi, distance = vector.direction_and_length(towards)
-            yield Arrival(wi, numerics.reciprocal_or_zero(distance * distance), channels(intensity, wide))
+            wi, inverse = vector.direction_and_inverse_length(towards)
+            found.append(Arrival(wi, inverse * inverse, channels(intensity, wide)))
+        return found
 
     def shadow_targets(self, points: Tensor) -> tuple[Tensor, Tensor]:
         lead = (len(self),) + (1,) * (points.dim() - 1)

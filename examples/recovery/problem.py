@@ -1,0 +1,73 @@
+"""What a recovery is made of: photographs, one light at a time, and the shading points that they show."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+import torchbrdf as tb
+
+
+@dataclass
+class View:
+    """One camera: its G-buffer, one image per light, and which pixels of each image count."""
+
+    g: tb.GBuffer  # [H, W, ...]
+    images: Tensor  # [L, H, W, C] linear radiance
+    weights: Tensor  # [L, H, W, 1] bool: what the fit may look at
+    visibility: Tensor | None  # [L, H, W, 1]; None: nothing casts shadows
+
+    def points(self) -> "Points":
+        """Only the pixels that count under at least one light, as a list: the rest need not be shaded."""
+        used = self.weights.any(0).squeeze(-1) & self.g.valid.squeeze(-1)
+        pick = None if self.visibility is None else self.visibility[:, used]
+        return Points(self.g[used], self.images[:, used], self.weights[:, used], pick)
+
+
+@dataclass
+class Points:
+    """The shading points of a view, flattened to [N, ...]."""
+
+    g: tb.GBuffer
+    images: Tensor
+    weights: Tensor
+    visibility: Tensor | None
+
+
+@dataclass
+class Problem:
+    """All views, the lights they share, and, where the scene is a test, the truth."""
+
+    views: list[View]
+    lights: nn.Module  # lights(g) -> list of lights
+    truth: dict[str, Tensor] = field(default_factory=dict)
+    start: dict[str, Any] = field(default_factory=dict)
+    noise: float | None = None
+
+
+class Lights(nn.Module):
+    """Fixed lights as they are; learned ones as `tb.nn.Material`s."""
+
+    def __init__(self, *lights: tb.Light | nn.Module) -> None:
+        super().__init__()
+        self.entries = list(lights)
+        self.learned = nn.ModuleList(m for m in lights if isinstance(m, nn.Module))
+
+    def forward(self, g: tb.GBuffer) -> list[tb.Light]:
+        return [entry(g) if isinstance(entry, nn.Module) else entry for entry in self.entries]
+
+
+def uniform_or_texture(start: float, texels: int) -> tb.nn.Field:
+    """A single learned colour, or a texture of ``texels`` x ``texels``."""
+    return tb.nn.Texture(torch.full((texels, texels, 3), start)) if texels else tb.nn.Learned([start] * 3)
+
+
+def make_material(model: str, texels: int, start: dict[str, Any]) -> nn.Module:
+    """``lambert``, or ``glossy``: Lambert + Phong with the exact Fresnel term of a dielectric."""
+    diffuse = tb.nn.Material(tb.Lambert, albedo=uniform_or_texture(start["albedo"], texels))
+    if model == "lambert":
+        return diffuse
+    fresnel = tb.nn.Material(tb.Dielectric, eta=tb.nn.Learned(start["eta"]))
+    glossy = tb.nn.Material(tb.Phong, specular=tb.nn.Learned(start["specular"]), exponent=tb.nn.Learned(start["exponent"]), fresnel=fresnel)
+    return diffuse + glossy
