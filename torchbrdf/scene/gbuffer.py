@@ -50,7 +50,7 @@ class GBuffer(Value):
         """``[..., 1]`` bool: ``mask``, and a finite, nonzero normal."""
         n = vector.components(self.normal.detach())
         size = n.x.abs() + n.y.abs() + n.z.abs()
-        usable = ((size > 0) & torch.isfinite(size)).unsqueeze(-1)
+        usable = ((size > 0) & (size < torch.inf)).unsqueeze(-1)  # NaN fails both
         return usable if self.mask is None else usable & self.mask
 
     def require_view(self) -> Tensor:
