@@ -1,7 +1,5 @@
 """The fit: least squares by L-BFGS (torch.optim), and how sure it is, from the inverse of its Gauss-Newton Hessian."""
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor, nn
 from tqdm import tqdm
@@ -39,7 +37,7 @@ def fit(model: Model, points: list[Points], iterations: int, label: str = "fit")
             optimiser.zero_grad()
             loss = sum((model(p).square().sum() for p in points), torch.zeros(())) / scale
             loss.backward()
-            history.append(float(loss) * scale / count)
+            history.append(float(loss.detach()) * scale / count)
             steps = optimiser.state[optimiser._params[0]].get("n_iter", 0)
             bar.update(steps - bar.n)
             bar.set_postfix(rms=f"{history[-1] ** 0.5:.5f}")
@@ -49,46 +47,55 @@ def fit(model: Model, points: list[Points], iterations: int, label: str = "fit")
     return history
 
 
-def standard_error(model: Model, points: list[Points], quantity: Callable[[dict[str, Tensor]], Tensor], steps: int = 60) -> float:
-    """One standard deviation of a scalar of the parameters: sqrt(c' H^-1 c), H = J'J / sigma^2 (Gauss-Newton), by CG.
+class Confidence:
+    """How sure a fit is: standard deviations from the inverse of its Gauss-Newton Hessian H = J'J / sigma^2.
 
-    ``sigma`` is the root mean square of the residual. Nothing of H is stored: J v by forward mode, J' r by reverse mode.
+    ``sigma`` is the root mean square of the residual. Nothing of H is stored: the graph of the residuals y and of u -> J'u is
+    built once; J v is the derivative of <J'u, v> by u (Pearlmutter's trick, in reverse mode twice), and H v = J'(J v).
     """
-    parameters = {k: v.detach() for k, v in model.named_parameters()}
-    residual = [model(p).detach() for p in points]
-    variance = sum(float(r.square().sum()) for r in residual) / sum(int(p.weights.sum()) * p.images.shape[-1] for p in points)
-    names = list(parameters)
 
-    def product(v: dict[str, Tensor]) -> dict[str, Tensor]:
-        total = {k: torch.zeros_like(x) for k, x in parameters.items()}
-        for p in points:
-            predict = lambda q, p=p: torch.func.functional_call(model, q, (p,))  # noqa: E731
-            _, forward = torch.func.jvp(predict, (parameters,), (v,))
-            (back,) = torch.func.vjp(predict, parameters)[1](forward)
-            total = {k: total[k] + back[k] for k in names}
+    def __init__(self, model: Model, points: list[Points]) -> None:
+        self.parameters = list(model.parameters())
+        self.residuals = [model(p) for p in points]
+        self.duals = [torch.zeros_like(y, requires_grad=True) for y in self.residuals]
+        self.backs = [
+            torch.autograd.grad(y, self.parameters, u, create_graph=True) for y, u in zip(self.residuals, self.duals, strict=True)
+        ]
+        count = sum(int(p.weights.sum()) * p.images.shape[-1] for p in points)
+        self.variance = sum(float(y.detach().square().sum()) for y in self.residuals) / count
+
+    def product(self, v: list[Tensor]) -> list[Tensor]:
+        """J'J v."""
+        total = [torch.zeros_like(x) for x in v]
+        for y, u, back in zip(self.residuals, self.duals, self.backs, strict=True):
+            (forward,) = torch.autograd.grad(back, u, v, retain_graph=True)
+            parts = torch.autograd.grad(y, self.parameters, forward, retain_graph=True)
+            total = [t + p for t, p in zip(total, parts, strict=True)]
         return total
 
-    c = torch.func.grad(lambda q: quantity(q))(parameters)
-    return float((variance * max(_dot(c, _solve(product, c, steps)), 0.0)) ** 0.5)
+    def of(self, quantity: Tensor, steps: int = 80) -> float:
+        """One standard deviation of a scalar of the parameters: sqrt(c' H^-1 c) with c its gradient."""
+        found = torch.autograd.grad(quantity, self.parameters, allow_unused=True, retain_graph=True)
+        c = [torch.zeros_like(p) if g is None else g for g, p in zip(found, self.parameters, strict=True)]
+        return (self.variance * max(_dot(c, self._solve(c, steps)), 0.0)) ** 0.5
+
+    def _solve(self, c: list[Tensor], steps: int) -> list[Tensor]:
+        """Conjugate gradients on J'J x = c (Hestenes & Stiefel 1952)."""
+        x = [torch.zeros_like(v) for v in c]
+        r, d, rr = c, c, _dot(c, c)
+        enough = rr * torch.finfo(c[0].dtype).eps
+        for _ in range(steps):
+            hd = self.product(d)
+            curvature = _dot(d, hd)
+            if curvature <= 0 or rr <= enough:
+                break
+            step = rr / curvature
+            x = [a + step * b for a, b in zip(x, d, strict=True)]
+            r = [a - step * b for a, b in zip(r, hd, strict=True)]
+            rr, before = _dot(r, r), rr
+            d = [a + (rr / before) * b for a, b in zip(r, d, strict=True)]
+        return x
 
 
-def _dot(a: dict[str, Tensor], b: dict[str, Tensor]) -> float:
-    return sum(float((a[k] * b[k]).sum()) for k in a)
-
-
-def _solve(product: Callable[[dict[str, Tensor]], dict[str, Tensor]], c: dict[str, Tensor], steps: int) -> dict[str, Tensor]:
-    """Conjugate gradients on H x = c (Hestenes & Stiefel 1952)."""
-    x = {k: torch.zeros_like(v) for k, v in c.items()}
-    r, d, rr = dict(c), dict(c), _dot(c, c)
-    first = rr
-    for _ in range(steps):
-        hd = product(d)
-        curvature = _dot(d, hd)
-        if curvature <= 0 or rr <= first * torch.finfo(torch.float64).eps:
-            break
-        step = rr / curvature
-        x = {k: x[k] + step * d[k] for k in x}
-        r = {k: r[k] - step * hd[k] for k in r}
-        rr, before = _dot(r, r), rr
-        d = {k: r[k] + (rr / before) * d[k] for k in d}
-    return x
+def _dot(a: list[Tensor], b: list[Tensor]) -> float:
+    return sum(float((x * y).sum()) for x, y in zip(a, b, strict=True))
