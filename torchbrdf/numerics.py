@@ -10,6 +10,7 @@ import math
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 HALF_TYPES = (torch.float16, torch.bfloat16)
 
@@ -39,6 +40,11 @@ def positive(x: Tensor) -> Tensor:
     return torch.relu(x)
 
 
+def step(x: Tensor) -> Tensor:
+    """1 for x > 0, else 0, in the dtype of x. No gradient."""
+    return torch.sign(torch.relu(x.detach()))
+
+
 def unit_interval(x: Tensor) -> Tensor:
     """x held to [0, 1] against rounding. The gradient passes at exactly 0 and 1 (``clamp`` would kill it) and is 0 beyond."""
     return torch.where(x < 0, 0.0, torch.where(x > 1, 1.0, x))
@@ -49,35 +55,37 @@ def at_most_one(x: Tensor) -> Tensor:
     return x - torch.relu(x.detach() - 1.0)
 
 
-def safe_sqrt(x: Tensor) -> Tensor:
-    """``sqrt(max(x, 0))``. Gradient: the true one for x > 0 (not capped), 0 at x <= 0 where the true slope is infinite."""
-    inside = x > 0
-    return torch.where(inside, torch.sqrt(torch.where(inside, x, 1.0)), 0.0)
+def negligible(dtype: torch.dtype) -> float:
+    """sqrt of :func:`tiny`: a reciprocal down to here has a derivative, ``-1/x^2``, that does not overflow."""
+    return math.sqrt(tiny(dtype))
 
 
-def reciprocal_or_zero(x: Tensor) -> Tensor:
-    """``1/x``, and 0 with gradient 0 at x = 0."""
-    nonzero = x != 0
-    return torch.where(nonzero, 1.0 / torch.where(nonzero, x, 1.0), 0.0)
+def safe_sqrt(x: Tensor, least: float = 0.0) -> Tensor:
+    """``sqrt(x)`` for x > ``least``, else 0. Gradient: the true one there (not capped); else 0, at 0 in place of infinity."""
+    return torch.sqrt(functional.threshold(x, least, 1.0)) * step(x - least)
+
+
+def reciprocal_or_zero(x: Tensor, least: float = 0.0) -> Tensor:
+    """``1/x`` for x > ``least`` >= 0; 0 with gradient 0 elsewhere."""
+    return step(x - least) / functional.threshold(x, least, 1.0)
 
 
 def log1p_power(m: Tensor, exponent: Tensor) -> Tensor:
     """``(1 - m) ** exponent`` for a complement ``m = 1 - cosine``, accurate near m = 0 where the cosine itself has no digits left.
 
-    Value 0 for m > 1 (the far hemisphere); ``0 ** 0 = 1`` at m = 1. Results below the smallest normal number are flushed
-    to 0. Gradient: 0 wherever the value is 0 or flushed. Range: exponent >= 0, m >= 0; relative error about
-    (2 + \\|ln value\\|) * eps.
+    Value 0 for m > 1 (the far hemisphere); at m = 1 the cosine counts as eps/2, half the spacing of m there, and 0 ** 0 as 1.
+    Results below the smallest normal number are flushed to 0. Gradient: 0 wherever the value is 0 or flushed, and at m = 1.
+    Range: exponent >= 0, m >= 0; relative error about (2 + \\|ln value\\|) * eps.
     """
     last_below_one = 1.0 - 0.5 * torch.finfo(m.dtype).eps  # there the logarithm is still finite
     log_value = exponent * torch.log1p(-m.clamp_max(last_below_one))
-    return flushed_exp(log_value, (m < 1) | ((m == 1) & (exponent == 0)))
+    return flushed_exp(log_value) * (1.0 - step(m - 1.0))
 
 
-def flushed_exp(log_value: Tensor, inside: Tensor) -> Tensor:
-    """``exp`` of a finite number where ``inside`` holds and the result is a normal number; 0 with gradient 0 elsewhere."""
+def flushed_exp(log_value: Tensor) -> Tensor:
+    """``exp`` of a finite number where the result is a normal number; 0 with gradient 0 below."""
     lowest = math.log(2.0 * tiny(log_value.dtype))  # twice, because exp() of the bound itself rounds to a denormal
-    alive = inside & (log_value > lowest)
-    return torch.exp(log_value.clamp_min(lowest)) * alive.to(log_value.dtype)
+    return torch.exp(functional.threshold(log_value, lowest, -math.inf))
 
 
 def cosine_power(cos: Tensor, sin2: Tensor, exponent: Tensor) -> Tensor:
@@ -89,7 +97,7 @@ def cosine_power(cos: Tensor, sin2: Tensor, exponent: Tensor) -> Tensor:
     log_near = 0.5 * torch.log1p(-sin2.clamp_max(0.875))  # sin^2 = 0.75 where the two meet
     log_far = torch.log(cos.clamp_min(tiny(cos.dtype)))
     log_value = exponent * torch.lerp(log_far, log_near, near_pole)  # exact at weights 0 and 1
-    return flushed_exp(log_value, (cos > 0) | ((cos == 0) & (exponent == 0)))
+    return torch.where((cos == 0) & (exponent > 0), 0.0, flushed_exp(log_value))
 
 
 def _square_error(x: Tensor, square: Tensor) -> Tensor:

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from . import numerics
+from .numerics import step
 
 
 class Vec(NamedTuple):
@@ -46,12 +47,16 @@ def is_planar(v: Tensor) -> bool:
 
 def dot(a: Vec, b: Vec) -> Tensor:
     """Inner product ``[...]``."""
-    return a.x * b.x + a.y * b.y + a.z * b.z
+    return torch.addcmul(torch.addcmul(a.x * b.x, a.y, b.y), a.z, b.z)
 
 
 def cross(a: Vec, b: Vec) -> Vec:
     """Vector product."""
-    return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+    return Vec(
+        torch.addcmul(a.y * b.z, a.z, b.y, value=-1),
+        torch.addcmul(a.z * b.x, a.x, b.z, value=-1),
+        torch.addcmul(a.x * b.y, a.y, b.x, value=-1),
+    )
 
 
 def add(a: Vec, b: Vec) -> Vec:
@@ -69,32 +74,37 @@ def scale(a: Vec, s: Tensor | float) -> Vec:
     return Vec(a.x * s, a.y * s, a.z * s)
 
 
-def direction_and_length(v: Vec) -> tuple[Vec, Tensor]:
-    """Unit vector and length, without overflow or underflow: the largest component is divided out first.
+def direction_and_inverse_length(v: Vec) -> tuple[Vec, Tensor]:
+    """Unit vector and 1 / length of *finite* vectors, without overflow or underflow: the largest component is divided out first.
 
-    A zero or non-finite vector gives direction 0 and length 0, both with gradient 0.
+    A zero vector gives direction 0 and inverse length 0, both with gradient 0.
     """
-    u, divisor, length = _scaled(v)
-    nonzero = torch.where(u.x * u.x + u.y * u.y + u.z * u.z > 0, divisor, 0.0)
-    return Vec(u.x / length, u.y / length, u.z / length), length * nonzero
-
-
-def _scaled(v: Vec) -> tuple[Vec, Tensor, Tensor]:
-    """``v`` over its largest component, that component (a constant), and the length that is left, in [1, sqrt(3)]."""
     x, y, z = (c.detach().abs() for c in v)
     largest = torch.maximum(torch.maximum(x, y), z)
-    finite = largest < math.inf  # False for NaN, which maximum() hands on
     smallest = torch.finfo(largest.dtype).smallest_normal * torch.finfo(largest.dtype).eps
-    divisor = torch.nan_to_num(largest, nan=1.0, posinf=1.0).clamp_min(smallest)
-    u = Vec(*(torch.where(finite, c, 0.0) / divisor for c in v))
+    divisor = largest.clamp_min(smallest)
+    u = Vec(v.x / divisor, v.y / divisor, v.z / divisor)
     # The squares of a usable vector sum to 1 at least; the bound of 1/2 is met by the zero vector alone.
-    return u, divisor, torch.sqrt(dot(u, u).clamp_min(0.5))
+    inverse = step(largest) / torch.sqrt(dot(u, u).clamp_min(0.5))
+    return scale(u, inverse), inverse / divisor
+
+
+def direction_and_length(v: Vec) -> tuple[Vec, Tensor]:
+    """Unit vector and length of finite vectors; 0 and 0, with gradient 0, for the zero vector."""
+    direction, _ = direction_and_inverse_length(v)
+    return direction, dot(direction, v)
+
+
+def finite_components(v: Vec) -> Vec:
+    """``v``, and 0 with gradient 0 for vectors that are not finite."""
+    x, y, z = (c.detach().abs() for c in v)
+    finite = torch.maximum(torch.maximum(x, y), z) < math.inf  # False for NaN, which maximum() hands on
+    return Vec(*(torch.where(finite, c, 0.0) for c in v))
 
 
 def normalize_components(v: Vec) -> Vec:
     """Unit vector; zero and non-finite vectors give 0 with gradient 0."""
-    u, _, length = _scaled(v)
-    return Vec(u.x / length, u.y / length, u.z / length)
+    return direction_and_inverse_length(finite_components(v))[0]
 
 
 def normalize(v: Tensor) -> Tensor:
@@ -282,19 +292,24 @@ class Geometry:
 
     @memo
     def wi_h(self) -> Tensor:
-        """wi.h = wo.h = |wi + wo| / 2, in [0, 1]; gradient 0 where there is no half vector."""
-        return 0.5 * numerics.safe_sqrt(self.half2)
+        """wi.h = wo.h = |wi + wo| / 2, in [0, 1]; 0 with gradient 0 where there is no half vector, or only rounding is left of it."""
+        return 0.5 * numerics.safe_sqrt(self.half2, numerics.negligible(self.half2.dtype))
+
+    @memo
+    def inverse_half(self) -> Tensor:
+        """1 / |wi + wo|, 0 where there is no half vector."""
+        return numerics.reciprocal_or_zero(2.0 * self.wi_h)
 
     @memo
     def cos_h(self) -> Tensor:
         """n.h, 0 where there is no half vector."""
-        return dot(self.n, self.half) * numerics.reciprocal_or_zero(2.0 * self.wi_h)
+        return dot(self.n, self.half) * self.inverse_half
 
     @memo
     def sin2_h(self) -> Tensor:
         """|n x h|^2 by the cross product: no cancellation near the mirror direction."""
-        c = cross(self.n, self.half)
-        return dot(c, c) * numerics.reciprocal_or_zero(self.half2)
+        c = scale(cross(self.n, self.half), self.inverse_half)
+        return dot(c, c)
 
     @memo
     def mirror_complement(self) -> Tensor:

@@ -6,7 +6,7 @@ A model is one formula on :class:`Geometry` (:meth:`Bsdf.formula`), its density 
 import enum
 from abc import abstractmethod
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -61,7 +61,7 @@ class Bsdf(Value):
 
     lobes: tuple[Lobe, ...] = ()
     reciprocal: bool = True
-    normalization: str
+    variants: ClassVar[tuple[dict[str, Any], ...]] = ({},)  # the static choices of a model, which the contract takes in turn
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -241,9 +241,9 @@ def _take(v: Tensor, name: str, wide: bool, assume_unit: bool) -> Vec:
 
 
 def local_normal(w: Vec) -> Vec:
-    """The z axis, in the shape of ``w``."""
-    zero = torch.zeros_like(w.x)
-    return Vec(zero, zero, torch.ones_like(w.x))
+    """The z axis, without batch axes, in the dtype and on the device of ``w``."""
+    zero = w.x.new_zeros(())
+    return Vec(zero, zero, w.x.new_ones(()))
 
 
 def join(channels: Iterable[Tensor], wide: bool) -> Tensor:
@@ -260,11 +260,16 @@ def nearest(*distances: Tensor) -> Tensor:
     return least
 
 
+def inverse_density(pdf: Tensor) -> Tensor:
+    """1 / pdf; 0 for a direction of negligible density, which a sampler gives by rounding alone."""
+    return numerics.reciprocal_or_zero(pdf, numerics.negligible(pdf.dtype))
+
+
 def draw_from(model: Bsdf, wi: Vec, wo: Vec, wide: bool) -> Draw:
     """Finish a non-delta sample: weight = f cos / pdf from the model's own formula and density."""
     g = Geometry(wi, wo, local_normal(wi), None, wide)
     pdf = model.density(g)
-    factor = torch.where(g.lit, wi.z * numerics.reciprocal_or_zero(pdf), 0.0)
+    factor = torch.where(g.lit, wi.z * inverse_density(pdf), 0.0)
     return Draw(wi, tuple(f * factor for f in model.formula(g)), pdf, torch.zeros_like(pdf, dtype=torch.int64))
 
 

@@ -55,7 +55,7 @@ class BlinnPhong(Bsdf):
     def density(self, g: Geometry) -> Tensor:
         """Of the half vector, (s+2)/(2 pi) cos^(s+1), over the Jacobian 4 wi.h of the reflection."""
         s = g.scalar(self.exponent)
-        return half_vector_power(g, s + 1.0) * (s + 2.0) / (8.0 * math.pi) * numerics.reciprocal_or_zero(g.wi_h)
+        return half_vector_power(g, s + 1.0) * (s + 2.0) / (4.0 * math.pi) * g.inverse_half
 
     def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
         s = Geometry(wo, wo, wo, None, wide).scalar(self.exponent)

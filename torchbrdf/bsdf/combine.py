@@ -12,7 +12,7 @@ from torch import Tensor
 from .. import numerics
 from ..value import Interval, param, value
 from ..vector import Geometry, Vec, each
-from .base import Bsdf, Channels, Draw, Lobe, local_normal, nearest
+from .base import Bsdf, Channels, Draw, Lobe, inverse_density, local_normal, nearest
 
 
 @value
@@ -91,7 +91,7 @@ class Sum(Bsdf):
             return Draw(d.wi, tuple(w * alone for w in d.weight), d.pdf * share, lobe)
         g = Geometry(d.wi, wo, local_normal(d.wi), None, wide)
         pdf = self.density(g)
-        factor = torch.where(g.lit, g.cos_i * numerics.reciprocal_or_zero(pdf), 0.0)
+        factor = torch.where(g.lit, g.cos_i * inverse_density(pdf), 0.0)
         weight = each(lambda f, w: torch.where(deltas, w * alone, f * factor), self.formula(g), d.weight)
         return Draw(d.wi, weight, torch.where(deltas, d.pdf * share, pdf), lobe)
 

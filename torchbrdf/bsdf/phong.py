@@ -57,6 +57,7 @@ class Phong(Bsdf):
     normalization: str = "modified"
 
     lobes = (Lobe.GLOSSY,)
+    variants = tuple({"normalization": name} for name in ("modified", "bound", "none"))
 
     def __post_init__(self) -> None:
         super().__post_init__()

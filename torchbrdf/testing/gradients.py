@@ -1,0 +1,48 @@
+"""First and second derivatives of every parameter and direction against finite differences, away from the declared kinks."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .subject import Outcome, Probe, leaves, probes
+
+POINTS = 4
+
+
+def gradients(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
+    """``torch.autograd.gradcheck`` in float64, one input at a time, so that the failing one is named."""
+    wrong, count = [], 0
+    for probe in probes(subject, rng, 4 * POINTS if thorough else POINTS):
+        names, inputs, call = _function(probe, subject)
+        for i, name in enumerate(names):
+            count += inputs[i].numel()
+            wrong += [f"{probe.name} by {name}"] * (not _passes(torch.autograd.gradcheck, call, inputs, only=i))
+    return Outcome("gradients", not wrong, float(count), f"wrong: {', '.join(wrong)}" if wrong else "derivatives checked")
+
+
+def second_gradients(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
+    """``torch.autograd.gradgradcheck`` of all inputs at once, mixed derivatives included; along random directions unless thorough."""
+    wrong, count = [], 0
+    for probe in probes(subject, rng, POINTS):
+        _, inputs, call = _function(probe, subject)
+        count += sum(x.numel() for x in inputs)
+        wrong += [probe.name] * (not _passes(torch.autograd.gradgradcheck, call, inputs, fast_mode=not thorough))
+    return Outcome("second_gradients", not wrong, float(count), f"wrong: {', '.join(wrong)}" if wrong else "inputs checked")
+
+
+def _function(probe: Probe, subject: Any) -> tuple[list[str], list[Tensor], Callable[..., Tensor]]:
+    names, parameters, rebuild = leaves(subject)
+    k = len(parameters)
+
+    def call(*xs: Tensor) -> Tensor:
+        return probe.call(rebuild(list(xs[:k])), *xs[k:])
+
+    return names + list(probe.inputs), parameters + list(probe.inputs.values()), call
+
+
+def _passes(test: Callable[..., bool], call: Callable[..., Tensor], inputs: list[Tensor], only: int | None = None, **how: Any) -> bool:
+    asked = [x.detach().clone().requires_grad_(x.is_floating_point() and only in (None, i)) for i, x in enumerate(inputs)]
+    # torch's defaults: steps of 1e-6, whose own error in float64 is far below a relative 1e-3
+    return test(call, asked, raise_exception=False, **how)

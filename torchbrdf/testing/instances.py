@@ -1,0 +1,91 @@
+"""Instances of every registered model, drawn from what its fields declare: a new model is tested without a new test."""
+
+import itertools
+import types
+import typing
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+
+from ..bsdf.base import Bsdf
+from ..optics.fresnel import Fresnel
+from ..registry import BSDFS, FRESNEL_TERMS, registered
+from ..value import Param, Value
+from .subject import generator
+
+COLOURS = 3
+
+
+def instances(thorough: bool = False, seed: int = 0) -> Iterator[tuple[str, Any]]:
+    """(label, value) of every registered Fresnel term and BSDF, float64.
+
+    Parameters are drawn from the typical range of their constraint; a class's ``variants`` and Fresnel slots (empty, and each
+    registered term) are taken in turn, in all combinations if ``thorough``; models made of models hold typical mixtures.
+    """
+    for cls in (*registered(FRESNEL_TERMS), *registered(BSDFS)):
+        yield from of_class(cls, thorough, seed)
+
+
+def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterator[tuple[str, Any]]:
+    """Instances of one class, registered or not."""
+    hints = typing.get_type_hints(cls)
+    rng = generator(seed)
+    slots = {name: list(_fillings(hints[name], rng)) for name in cls._fields if name not in cls._params}
+    slots = {name: fillings for name, fillings in slots.items() if fillings}
+    variants: tuple[dict[str, Any], ...] = getattr(cls, "variants", ({},))
+    for variant in variants:
+        for filling in _combinations(slots, every=thorough or variant == variants[0]):
+            static = {name: v for name, (_, v) in filling.items()} | dict(variant)
+            labels = [str(v) for v in variant.values()] + [label for label, _ in filling.values()]
+            drawn = {name: draw(spec, rng) for name, spec in cls._params.items()}
+            yield f"{cls.__name__}({', '.join(labels)})", cls(**drawn, **static)
+
+
+def draw(spec: Param, rng: torch.Generator) -> torch.Tensor:
+    """A typical value of a parameter, ``[size]``; colours have three channels."""
+    return spec.constraint.draw((COLOURS if spec.size is None else spec.size,), rng)
+
+
+def _combinations(slots: dict[str, list[tuple[str, Any]]], every: bool) -> Iterator[dict[str, tuple[str, Any]]]:
+    """Each filling of the slots; the first alone where not every combination is asked for."""
+    chosen = itertools.product(*(fillings if every else fillings[:1] for fillings in slots.values()))
+    yield from (dict(zip(slots, fillings, strict=True)) for fillings in chosen)
+
+
+def _fillings(hint: Any, rng: torch.Generator) -> Iterator[tuple[str, Any]]:
+    """What may stand in a field of this type, labelled; nothing for plain data, which ``variants`` speak for."""
+    options = typing.get_args(hint) if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union else (hint,)
+    if type(None) in options:
+        yield "-", None
+    for option in options:
+        if isinstance(option, type) and issubclass(option, Fresnel):
+            for term in registered(FRESNEL_TERMS):
+                yield term.__name__, term(**{name: draw(spec, rng) for name, spec in term._params.items()})
+        elif isinstance(option, type) and issubclass(option, Bsdf):
+            yield from ((label, terms[0] if len(terms) == 1 else _sum(terms)) for label, terms in mixtures(rng))
+        elif typing.get_origin(option) is tuple and Bsdf in typing.get_args(option):
+            yield from ((label, terms) for label, terms in mixtures(rng) if len(terms) > 1)
+
+
+def _sum(terms: tuple[Bsdf, ...]) -> Bsdf:
+    from ..bsdf.combine import Sum
+
+    return Sum(terms)
+
+
+def mixtures(rng: torch.Generator) -> Iterator[tuple[str, tuple[Bsdf, ...]]]:
+    """Typical contents of a model made of models: one lobe, two, one of them a delta, and a nested mixture."""
+    from ..bsdf.blinn_phong import BlinnPhong
+    from ..bsdf.lambert import Lambert
+    from ..bsdf.mirror import Mirror
+    from ..bsdf.phong import Phong
+
+    def of(cls: type[Bsdf], **static: Any) -> Any:
+        return cls(**{name: draw(spec, rng) for name, spec in cls._params.items()}, **static)
+
+    schlick = next(v for label, v in _fillings(Fresnel, rng) if label == "Schlick")
+    yield "Phong", (of(Phong, fresnel=schlick),)
+    yield "Lambert + Phong", (of(Lambert), of(Phong, fresnel=schlick))
+    yield "Lambert + Mirror", (of(Lambert), of(Mirror, fresnel=schlick))
+    yield "BlinnPhong + 0.5 (Lambert + Mirror)", (of(BlinnPhong), 0.5 * (of(Lambert) + of(Mirror)))

@@ -1,0 +1,22 @@
+"""Helmholtz reciprocity, f(wi, wo) = f(wo, wi), by differences: a ratio would hide what is near 0."""
+
+from typing import Any
+
+import torch
+
+from .subject import Outcome, smooth_points, spread
+
+ROUNDINGS = 2.0**20  # times eps: exponents of 1e4 magnify the rounding of a cosine ten-thousandfold
+
+
+def reciprocity(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
+    """Largest difference of f under exchange of the directions, over the largest f."""
+    if spread(subject) is None:
+        return Outcome.absent("reciprocity", "no lobe to evaluate")
+    if not subject.reciprocal:
+        return Outcome.absent("reciprocity", "the model claims none")
+    w = smooth_points(subject, rng, 4096 if thorough else 256)
+    there, back = subject.evaluate(w["wi"], w["wo"], w["n"]), subject.evaluate(w["wo"], w["wi"], w["n"])
+    worst = float((there - back).abs().max())
+    allowed = ROUNDINGS * torch.finfo(there.dtype).eps * float(there.abs().max())
+    return Outcome("reciprocity", worst <= allowed, worst, "largest |f(wi, wo) - f(wo, wi)|, 1/sr")
