@@ -11,7 +11,7 @@ file of this folder, and works on any subclass of :class:`torchbrdf.Bsdf` or :cl
 """
 
 from .instances import instances
-from .report import PROPERTIES, Report, check
+from .report import PROPERTIES, Report, check, run
 from .subject import Outcome
 
-__all__ = ["PROPERTIES", "Outcome", "Report", "check", "instances"]
+__all__ = ["PROPERTIES", "Outcome", "Report", "check", "instances", "run"]

@@ -85,7 +85,15 @@ def check(subject: Any, *, seed: int = 0, thorough: bool = False, compiled: bool
     validate(subject)
     singles = materials(subject, generator(seed), 3)
     properties = [p for p in PROPERTIES if compiled or p is not compiles]
-    return Report(subject, tuple(_worst([p(s, generator(seed), thorough) for s in singles]) for p in properties))
+    return Report(subject, tuple(_worst([run(p, s, seed, thorough) for s in singles]) for p in properties))
+
+
+def run(prop: Property, single: Any, seed: int = 0, thorough: bool = False) -> Outcome:
+    """One property of one unbatched float64 material. A model that raises does not have the property."""
+    try:
+        return prop(single, generator(seed), thorough)
+    except Exception as error:
+        return Outcome(prop.__name__, False, None, f"raised {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
 
 
 def _worst(outcomes: list[Outcome]) -> Outcome:

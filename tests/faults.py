@@ -1,0 +1,289 @@
+"""Faults as code: each breaks a real model in one place, and names the property of the contract that must notice.
+
+A fault is applied by ``fault.apply(monkeypatch)`` and shown by ``fault.subject()``. tests/test_faults.py holds both ends: every
+fault is noticed by its property, and every property notices at least one fault.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import torch
+
+import torchbrdf as tb
+from torchbrdf import numerics, vector
+from torchbrdf.bsdf import base, blinn_phong, combine, lambert, mirror, phong
+from torchbrdf.bsdf.base import Draw
+from torchbrdf.optics import fresnel
+from torchbrdf.vector import Vec, each
+
+
+class Fault(NamedTuple):
+    name: str
+    broken_by: str  # the property that must fail
+    target: Any
+    attribute: str
+    make: Callable[[Any], Any]  # the original -> the faulty one
+    subject: Callable[[], Any]
+
+    def apply(self, monkeypatch: Any) -> None:
+        owner = self.target
+        original = owner[self.attribute] if isinstance(owner, dict) else getattr(owner, self.attribute)
+        if isinstance(owner, dict):
+            monkeypatch.setitem(owner, self.attribute, self.make(original))
+        else:
+            monkeypatch.setattr(owner, self.attribute, self.make(original))
+
+
+def _lambert() -> Any:
+    return tb.Lambert([0.8, 0.5, 0.2])
+
+
+def _phong() -> Any:
+    return tb.Phong([0.5, 0.3, 0.9], 20.0, fresnel=tb.Schlick([0.04, 0.3, 0.6]))
+
+
+def _plain_phong() -> Any:
+    return tb.Phong([0.5, 0.3, 0.9], 20.0)
+
+
+def _blinn() -> Any:
+    return tb.BlinnPhong([0.5, 0.3, 0.9], 20.0)
+
+
+def _mirror() -> Any:
+    return tb.Mirror([0.9, 0.8, 0.7], fresnel=tb.Schlick([0.3, 0.4, 0.5]))
+
+
+def _with_mirror() -> Any:
+    return tb.Lambert([0.5, 0.4, 0.3]) + 0.5 * tb.Mirror([0.9, 0.8, 0.7])
+
+
+def _dielectric() -> Any:
+    return tb.Dielectric([1.5, 1.3, 2.0])
+
+
+# --- the faulty pieces -------------------------------------------------------------------------------------------------
+
+
+def lambert_without_pi(_: Any) -> Any:
+    return lambda self, g: g.colour(self.albedo)
+
+
+def phong_normalised_as_distribution(_: Any) -> Any:
+    return lambda s: (s + 4.0) / (2.0 * math.pi)
+
+
+def blinn_normalised_as_distribution(_: Any) -> Any:
+    """The half vector's (s+2)/(2 pi) in place of the reflected light's factor: seven times too bright."""
+    return lambda s: (s + 2.0) / (2.0 * math.pi)
+
+
+def phong_without_fresnel_in_albedo(original: Any) -> Any:
+    def albedo(self: Any, wo: Any, n: Any = None, *, order: int = 48) -> Any:
+        return original(self.replace(fresnel=None), wo, n, order=order)
+
+    return albedo
+
+
+def fresnel_at_viewer(_: Any) -> Any:
+    return lambda g, k, f, lobe: each(lambda k, f: k * f * lobe, g.colour(k), f.terms(g, g.cos_o))
+
+
+def cosine_in_evaluate(original: Any) -> Any:
+    """f times the cosine of the light, which belongs to the effects."""
+    return lambda self, g: tuple(f * g.cos_i for f in original(self, g))
+
+
+def sample_without_cosine(_: Any) -> Any:
+    def draw(model: Any, wi: Any, wo: Any, wide: bool) -> Draw:
+        g = vector.Geometry(wi, wo, base.local_normal(wi), None, wide)
+        pdf = model.density(g)
+        return Draw(wi, tuple(f / pdf for f in model.formula(g)), pdf, torch.zeros_like(pdf, dtype=torch.int64))
+
+    return draw
+
+
+def lambert_density_of_viewer(_: Any) -> Any:
+    """Swapped wi and wo."""
+    return lambda self, g: numerics.positive(g.cos_o) * (1.0 / math.pi) + 0.0 * g.cos_i
+
+
+def phong_pdf_exponent(_: Any) -> Any:
+    """Normalised, but of the wrong exponent."""
+
+    def density(self: Any, g: Any) -> Any:
+        s = g.scalar(self.exponent) + 2.0
+        return numerics.log1p_power(g.mirror_complement, s) * ((s + 1.0) / (2.0 * math.pi))
+
+    return density
+
+
+def half_vector_without_jacobian(_: Any) -> Any:
+    def density(self: Any, g: Any) -> Any:
+        s = g.scalar(self.exponent)
+        return blinn_phong.half_vector_power(g, s + 1.0) * (s + 2.0) / (2.0 * math.pi)
+
+    return density
+
+
+def sampler_of_other_exponent(original: Any) -> Any:
+    return lambda u, power: original(u, power - 5.0)
+
+
+def horizon_not_masked(_: Any) -> Any:
+    return property(lambda self: self.cos_o > -2.0)
+
+
+def sampler_ignores_horizon(original: Any) -> Any:
+    def sampled(self: Any, d: Any, wi: Any, visible: Any, wide: bool, dtype: Any) -> Any:
+        return original(self, d._replace(wi=Vec(d.wi.x, d.wi.y, d.wi.z.abs())), wi, torch.ones_like(visible), wide, dtype)
+
+    return sampled
+
+
+def mirror_through_normal(_: Any) -> Any:
+    """Reflects back where the light came from."""
+
+    def draw(self: Any, wo: Any, u: Any, wide: bool) -> Draw:
+        one = torch.ones_like(wo.z)
+        weight = self.reflectance(vector.Geometry(wo, wo, wo, None, wide), wo.z)
+        return Draw(wo, weight, one, torch.zeros_like(one, dtype=torch.int64))
+
+    return draw
+
+
+def delta_weight_without_share(_: Any) -> Any:
+    """A sum that forgets how seldom it chose the term."""
+
+    def mixed(self: Any, d: Any, wo: Any, share: Any, term: Any, offset: int, wide: bool) -> Draw:
+        return d._replace(pdf=d.pdf * share, lobe=d.lobe + offset)
+
+    return mixed
+
+
+def clamp_kills_gradient(_: Any) -> Any:
+    return lambda self, g: tuple(a.clamp(0.0, 0.5) * (1.0 / math.pi) for a in g.colour(self.albedo))
+
+
+def exponent_detached(original: Any) -> Any:
+    return lambda m, exponent: original(m, exponent.detach())
+
+
+def second_derivative_lost(original: Any) -> Any:
+    """Right value and first derivative; the Fresnel factor is a constant to the second."""
+
+    class Linearised(torch.autograd.Function):
+        generate_vmap_rule = True
+
+        @staticmethod
+        def forward(ctx: Any, m: Any) -> Any:
+            ctx.save_for_backward(m)
+            return original(m)
+
+        @staticmethod
+        def backward(ctx: Any, grad: Any) -> Any:
+            (m,) = ctx.saved_tensors
+            return grad * 5.0 * m.detach() ** 4
+
+    return Linearised.apply
+
+
+def albedo_of_first_pixel(original: Any) -> Any:
+    """Broadcasts the first material of a batch to all of them."""
+
+    def formula(self: Any, g: Any) -> Any:
+        return tuple(a.flatten()[0] * (1.0 / math.pi) + 0.0 * a for a in g.colour(self.albedo))
+
+    return formula
+
+
+def interleaved(_: Any) -> Any:
+    def join(channels: Any, wide: bool) -> Any:
+        return torch.stack(torch.broadcast_tensors(*channels), -1)
+
+    return join
+
+
+def computed_in_half(_: Any) -> Any:
+    return lambda x: x
+
+
+def float32_cosine(_: Any) -> Any:
+    """1 - cos by subtraction: at the peak no digit is left."""
+
+    def complement(self: Any) -> Any:
+        r = vector.subtract(vector.scale(self.n, 2.0 * self.cos_o), self.wo)
+        return (1.0 - vector.dot(r, self.wi)) + torch.finfo(self.cos_o.dtype).eps * 1e3
+
+    return property(complement)
+
+
+def branches_on_data(original: Any) -> Any:
+    def formula(self: Any, g: Any) -> Any:
+        lit = bool((g.cos_i > 0).any())
+        return tuple(f * (1.0 if lit else 0.0) for f in original(self, g))
+
+    return formula
+
+
+def naive_normalise(_: Any) -> Any:
+    """Divides by the norm: 0/0 for a zero vector."""
+
+    def normalise(v: Any) -> Any:
+        length = torch.sqrt(vector.dot(v, v))
+        return Vec(v.x / length, v.y / length, v.z / length)
+
+    return normalise
+
+
+def naive_sqrt(_: Any) -> Any:
+    return lambda x, least=0.0: torch.sqrt(x)
+
+
+def textbook_dielectric(_: Any) -> Any:
+    """NaN gradients under total internal reflection: the dead branch is not masked at its input."""
+
+    def dielectric(c: Any, n: Any) -> Any:
+        g = torch.sqrt(n * n - 1.0 + c * c)
+        r = (c - g) / (c + g)
+        r_p = (n * n * c - g) / (n * n * c + g)
+        return torch.where(n * n - 1.0 + c * c > 0, 0.5 * (r * r + r_p * r_p), 1.0)
+
+    return dielectric
+
+
+FAULTS = (
+    Fault("Lambert without 1/pi", "lambert", lambert.Lambert, "formula", lambert_without_pi, _lambert),
+    Fault("Lambert without 1/pi", "albedo", lambert.Lambert, "formula", lambert_without_pi, _lambert),
+    Fault("wrong normalisation of Phong", "energy_bound", phong.NORMALIZATIONS, "modified", phong_normalised_as_distribution, _plain_phong),
+    Fault(
+        "half-vector normalisation of Blinn", "energy_bound", blinn_phong, "normal_view_factor", blinn_normalised_as_distribution, _blinn
+    ),
+    Fault("albedo forgets Fresnel", "albedo", phong.Phong, "directional_albedo", phong_without_fresnel_in_albedo, _phong),
+    Fault("F(n.wo) instead of F(wi.h)", "reciprocity", phong, "tinted", fresnel_at_viewer, _phong),
+    Fault("a cosine too many", "reciprocity", phong.Phong, "formula", cosine_in_evaluate, _plain_phong),
+    Fault("sample without cosine", "weights_match", phong, "draw_from", sample_without_cosine, _plain_phong),
+    Fault("sample without cosine", "mean_weight", lambert, "draw_from", sample_without_cosine, _lambert),
+    Fault("density of wo", "samples_follow_pdf", lambert.Lambert, "density", lambert_density_of_viewer, _lambert),
+    Fault("density of wo", "pdf_integrates_to_one", lambert.Lambert, "density", lambert_density_of_viewer, _lambert),
+    Fault("wrong pdf exponent", "samples_follow_pdf", phong.Phong, "density", phong_pdf_exponent, _plain_phong),
+    Fault("sampler of another exponent", "samples_follow_pdf", blinn_phong, "cosine_power_direction", sampler_of_other_exponent, _blinn),
+    Fault("dropped Jacobian", "pdf_integrates_to_one", blinn_phong.BlinnPhong, "density", half_vector_without_jacobian, _blinn),
+    Fault("no horizon", "dark_below_horizon", vector.Geometry, "lit", horizon_not_masked, _lambert),
+    Fault("samples leak below", "dark_below_horizon", base.Bsdf, "_sampled", sampler_ignores_horizon, _mirror),
+    Fault("mirror sends light back", "delta_lobes", mirror.Mirror, "draw", mirror_through_normal, _mirror),
+    Fault("share of a delta lobe", "mean_weight", combine.Sum, "_mixed", delta_weight_without_share, _with_mirror),
+    Fault("clamp kills a gradient", "gradients", lambert.Lambert, "formula", clamp_kills_gradient, lambda: tb.Lambert([0.5, 0.5, 0.5])),
+    Fault("exponent detached", "gradients", numerics, "log1p_power", exponent_detached, _plain_phong),
+    Fault("second derivative lost", "second_gradients", fresnel, "_fifth_power", second_derivative_lost, _phong),
+    Fault("first material for all", "broadcasting", lambert.Lambert, "formula", albedo_of_first_pixel, _lambert),
+    Fault("branches on data", "vmap", lambert.Lambert, "formula", branches_on_data, _lambert),
+    Fault("interleaved result", "planar_memory", base, "join", interleaved, _lambert),
+    Fault("computes in half precision", "dtypes", numerics, "widen", computed_in_half, _phong),
+    Fault("bias on the cosine", "dtypes", vector.Geometry, "mirror_complement", float32_cosine, lambda: tb.Phong(1.0, 200.0)),
+    Fault("branches on data", "compiles", lambert.Lambert, "formula", branches_on_data, _lambert),
+    Fault("0/0 for a zero normal", "hard_cases", vector, "normalize_components", naive_normalise, _lambert),
+    Fault("sqrt at 0", "hard_cases", numerics, "safe_sqrt", naive_sqrt, _phong),
+    Fault("textbook dielectric", "hard_cases", fresnel, "dielectric", textbook_dielectric, _dielectric),
+)
