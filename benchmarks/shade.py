@@ -50,7 +50,7 @@ def textbook(s: dict[str, Tensor]) -> Tensor:
     n, v = F.normalize(s["normal"], dim=-1), s["view"]
     to_light = torch.tensor(LIGHT, dtype=n.dtype) - s["position"]
     r2 = (to_light * to_light).sum(-1, keepdim=True)
-    wi = to_light * r2.rsqrt()
+    wi = F.normalize(to_light, dim=-1)
     cos_i, cos_o = (n * wi).sum(-1, keepdim=True), (n * v).sum(-1, keepdim=True)
     cos_r = ((2 * cos_o * n - v) * wi).sum(-1, keepdim=True)
     h = F.normalize(wi + v, dim=-1)

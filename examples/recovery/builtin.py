@@ -52,7 +52,7 @@ def build(seed: int, size: int = 112, noise: float = 0.01) -> Problem:
     """The scene of one seed: its truth, a start far from it, and noisy images (``noise`` times the mean radiance)."""
     gen = torch.Generator().manual_seed(seed)
     mesh = lumpy_ring().to(torch.float64)
-    camera = tb.Camera.look_at([0.9, -2.6, 3.4], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], fov_y=36.0, size=(size, size)).to(torch.float64)
+    camera = tb.Camera.look_at([0.9, -2.6, 3.4], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], fov_y=40.0, size=(size, size)).to(torch.float64)
     g = tb.GBuffer.from_mesh(mesh, camera)
     lights = tb.PointLight(_ring_of_lights(), torch.full((1, 3), 60.0, dtype=torch.float64))
     draw = torch.rand(4, generator=gen, dtype=torch.float64).tolist()
