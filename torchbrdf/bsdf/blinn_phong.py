@@ -16,8 +16,8 @@ horizon, but for wi = -wo, where there is no half vector. Source: Blinn 1977.
 
 >>> import torch, torchbrdf as tb
 >>> up = torch.tensor([0.0, 0.0, 1.0])
->>> float(tb.BlinnPhong(1.0, 0.0).evaluate(up, up)) * torch.pi
-1.0...
+>>> round(float(tb.BlinnPhong(1.0, 0.0).evaluate(up, up)) * torch.pi, 6)
+1.0
 """
 
 import math

@@ -13,8 +13,8 @@ everywhere above the horizon. Source: Lambert 1760, *Photometria*.
 
 >>> import torch, torchbrdf as tb
 >>> up = torch.tensor([0.0, 0.0, 1.0])
->>> float(tb.Lambert(0.5).evaluate(up, up)) * torch.pi
-0.5...
+>>> round(float(tb.Lambert(0.5).evaluate(up, up)) * torch.pi, 6)
+0.5
 """
 
 import math
