@@ -17,7 +17,10 @@ from .base import Bsdf, Channels, Draw, Lobe, inverse_density, local_normal, nea
 
 @value
 class Sum(Bsdf):
-    """The sum of ``terms``; written ``a + b``."""
+    r"""The sum of ``terms``; written ``a + b``. Smooth where all of them are.
+
+    .. math:: f = \sum_j f_j
+    """
 
     terms: tuple[Bsdf, ...]
 
@@ -103,7 +106,10 @@ class Sum(Bsdf):
 
 @value
 class Scaled(Bsdf):
-    """``factor * inner``; written ``factor * a`` or ``a * factor``."""
+    r"""``factor * inner``; written ``factor * a`` or ``a * factor``. Smooth where the inner model is.
+
+    .. math:: f = k \, f_{inner}
+    """
 
     inner: Bsdf
     factor: Tensor = param(Interval(0.0, typical=(0.1, 1.0)), None, "colour that multiplies the model")

@@ -1,16 +1,17 @@
 r"""Perfect mirror reflection: a delta lobe.
 
-.. math:: f = F(\cos\theta_i) \; \delta(\omega_i - R(\omega_o)) / \cos\theta_i
+.. math:: f = k \; F(\cos\theta_i) \; \delta(\omega_i - R(\omega_o)) / \cos\theta_i
 
 =========  ====================  ========================================
 parameter  unit, range           meaning
 =========  ====================  ========================================
-tint       [..., C] in [0, 1]    colour that multiplies F
+tint       [..., C] in [0, 1]    colour k that multiplies F
 fresnel    a Fresnel term, None  F at the angle of incidence; None: 1
 =========  ====================  ========================================
 
 ``evaluate`` and ``pdf`` are 0 (a delta is no number); ``sample(...).weight`` is ``tint F`` and its ``pdf`` the discrete
 probability 1. The directional albedo is ``tint F(cos)``. Smooth above the horizon wherever F is.
+Source: Nicodemus et al. 1977.
 
 >>> import torch, torchbrdf as tb
 >>> up = torch.tensor([0.0, 0.0, 1.0])

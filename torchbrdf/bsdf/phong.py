@@ -19,8 +19,9 @@ normalization   N(s)                    directional albedo (F = 1)
 ``"modified"``  (s + 2) / (2 pi)        exactly k at normal incidence, at most k elsewhere: Lafortune & Willems 1994
 ==============  ======================  ========================================================================
 
-Not smooth at the edge of the lobe (wi.R = 0) for s < 1. The cosine is taken through its complement |R - wi|^2 / 2, because
-near the peak, where a large exponent lives, the cosine itself has no digits left.
+Not smooth at the edge of the lobe (wi.R = 0; for s <= 1 in the first derivative) nor, with a Fresnel term, for wi = -wo, where
+there is no half vector. The cosine is taken through its complement |R - wi|^2 / 2, because near the peak, where a large exponent
+lives, the cosine itself has no digits left.
 
 >>> import torch, torchbrdf as tb
 >>> up = torch.tensor([0.0, 0.0, 1.0])
