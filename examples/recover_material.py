@@ -39,8 +39,8 @@ def seen_texels(texture: tb.nn.Texture, points: list[Any], noise: float) -> Tens
     """Texels with the footprints of at least two measured, lit pixel-light pairs on them, bool [Ht, Wt]."""
     probe = tb.nn.Texture(torch.zeros_like(texture.raw[..., :1]), wrap=texture.wrap)
     for p in points:
-        lit = p.weights & (p.images.sum(-1, keepdim=True) > 4 * noise)
-        (probe(p.g) * lit.sum(0)).sum().backward()
+        lit = p.image.sum(-1, keepdim=True) > 4 * noise
+        (probe(p.g) * lit).sum().backward()
     return probe.raw.grad[..., 0] > 2
 
 
@@ -69,13 +69,13 @@ def recover(problem: Problem, model: str, texels: int, iterations: int, out: Pat
     """Fit, report and write; returns the rows of the report."""
     material = make_material(model, texels, problem.start).double()
     view = problem.views[0]
-    plan = tb.plan(view.g, material(view.g), problem.lights(view.g), visibility=view.visibility)
-    print(plan)
-    points = [v.points() for v in problem.views]
+    print(tb.plan(view.g, material(view.g), problem.lights(view.g), visibility=view.visibility))
+    points = [p for v in problem.views for p in v.points()]
     seen = next((seen_texels(m, points, problem.noise or 0.0) for m in material.modules() if isinstance(m, tb.nn.Texture)), None)
+    print(f"{sum(len(p.image) for p in points)} lit pixels in {len(points)} photographs")
     started = {k: float(v.detach()) for k, v in quantities(material, seen).items()}
     first = render(material, problem, view)
-    both = Model(material, problem, plan)
+    both = Model(material, problem, tb.plan(points[0].g, material(points[0].g), problem.lights.one(points[0].g, 0)))
     losses = fit(both, points, iterations)
     sure = Confidence(both, points)
     recovered = quantities(material, seen)

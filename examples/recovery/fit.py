@@ -18,9 +18,8 @@ class Model(nn.Module):
         self.lights = problem.lights
 
     def forward(self, p: Points) -> Tensor:
-        """Residuals, 0 where a pixel does not count."""
-        radiance = self.shader(p.g, self.lights(p.g), visibility=p.visibility, per_light=True)
-        return torch.where(p.weights, radiance - p.images, 0.0)
+        """Residuals [N, C] of one photograph. Its points are those that the light reaches, so nothing is left to shadow."""
+        return self.shader(p.g, self.lights.one(p.g, p.light)) - p.image
 
 
 def fit(model: Model, points: list[Points], iterations: int, label: str = "fit") -> list[float]:
@@ -28,8 +27,8 @@ def fit(model: Model, points: list[Points], iterations: int, label: str = "fit")
     optimiser = torch.optim.LBFGS(
         model.parameters(), max_iter=iterations, history_size=30, line_search_fn="strong_wolfe", tolerance_grad=0.0, tolerance_change=0.0
     )
-    count = sum(int(p.weights.sum()) * p.images.shape[-1] for p in points)
-    scale = sum(float(torch.where(p.weights, p.images, 0).square().sum()) for p in points)
+    count = sum(p.image.numel() for p in points)
+    scale = sum(float(p.image.square().sum()) for p in points)
     history: list[float] = []
     with tqdm(total=iterations, desc=label, unit="step", leave=False) as bar:
 
@@ -61,7 +60,7 @@ class Confidence:
         self.backs = [
             torch.autograd.grad(y, self.parameters, u, create_graph=True) for y, u in zip(self.residuals, self.duals, strict=True)
         ]
-        count = sum(int(p.weights.sum()) * p.images.shape[-1] for p in points)
+        count = sum(p.image.numel() for p in points)
         self.variance = sum(float(y.detach().square().sum()) for y in self.residuals) / count
 
     def product(self, v: list[Tensor]) -> list[Tensor]:
@@ -73,28 +72,30 @@ class Confidence:
             total = [t + p for t, p in zip(total, parts, strict=True)]
         return total
 
-    def of(self, quantity: Tensor, steps: int = 80) -> float:
+    def of(self, quantity: Tensor, steps: int = 150) -> float:
         """One standard deviation of a scalar of the parameters: sqrt(c' H^-1 c) with c its gradient."""
         found = torch.autograd.grad(quantity, self.parameters, allow_unused=True, retain_graph=True)
         c = [torch.zeros_like(p) if g is None else g for g, p in zip(found, self.parameters, strict=True)]
-        return (self.variance * max(_dot(c, self._solve(c, steps)), 0.0)) ** 0.5
+        return (self.variance * self._inverse_form(c, steps)) ** 0.5
 
-    def _solve(self, c: list[Tensor], steps: int) -> list[Tensor]:
-        """Conjugate gradients on J'J x = c (Hestenes & Stiefel 1952)."""
-        x = [torch.zeros_like(v) for v in c]
+    def _inverse_form(self, c: list[Tensor], steps: int) -> float:
+        """c' (J'J)^-1 c by conjugate gradients (Hestenes & Stiefel 1952), whose every step adds (r'r)^2 / d'Hd to it.
+
+        Ends when ten steps together add less than a hundredth.
+        """
         r, d, rr = c, c, _dot(c, c)
-        enough = rr * torch.finfo(c[0].dtype).eps
-        for _ in range(steps):
+        sums = [0.0]
+        for k in range(steps):
             hd = self.product(d)
             curvature = _dot(d, hd)
-            if curvature <= 0 or rr <= enough:
+            if curvature <= 0 or (k > 10 and sums[-1] - sums[-11] < 0.01 * sums[-1]):
                 break
             step = rr / curvature
-            x = [a + step * b for a, b in zip(x, d, strict=True)]
+            sums.append(sums[-1] + step * rr)
             r = [a - step * b for a, b in zip(r, hd, strict=True)]
             rr, before = _dot(r, r), rr
             d = [a + (rr / before) * b for a, b in zip(r, d, strict=True)]
-        return x
+        return sums[-1]
 
 
 def _dot(a: list[Tensor], b: list[Tensor]) -> float:

@@ -18,21 +18,24 @@ class View:
     weights: Tensor  # [L, H, W, 1] bool: what the fit may look at
     visibility: Tensor | None  # [L, H, W, 1]; None: nothing casts shadows
 
-    def points(self) -> "Points":
-        """Only the pixels that count under at least one light, as a list: the rest need not be shaded."""
-        used = self.weights.any(0).squeeze(-1) & self.g.valid.squeeze(-1)
-        pick = None if self.visibility is None else self.visibility[:, used]
-        return Points(self.g[used], self.images[:, used], self.weights[:, used], pick)
+    def points(self) -> list["Points"]:
+        """For each light, only the pixels that count and that it can reach: what is black whatever the material teaches nothing."""
+        found = []
+        for light, image in enumerate(self.images):
+            used = (self.weights[light] & self.g.valid).squeeze(-1)
+            if self.visibility is not None:
+                used = used & (self.visibility[light].squeeze(-1) > 0)
+            found.append(Points(self.g[used], light, image[used]))
+        return found
 
 
 @dataclass
 class Points:
-    """The shading points of a view, flattened to [N, ...]."""
+    """Shading points [N, ...] of one photograph, and its radiance [N, C] there."""
 
     g: tb.GBuffer
-    images: Tensor
-    weights: Tensor
-    visibility: Tensor | None
+    light: int
+    image: Tensor
 
 
 @dataclass
@@ -47,7 +50,7 @@ class Problem:
 
 
 class Lights(nn.Module):
-    """Fixed lights as they are; learned ones as `tb.nn.Material`s."""
+    """Fixed lights as they are; learned ones as `tb.nn.Material`s. Photograph k is lit by light k alone."""
 
     def __init__(self, *lights: tb.Light | nn.Module) -> None:
         super().__init__()
@@ -56,6 +59,10 @@ class Lights(nn.Module):
 
     def forward(self, g: tb.GBuffer) -> list[tb.Light]:
         return [entry(g) if isinstance(entry, nn.Module) else entry for entry in self.entries]
+
+    def one(self, g: tb.GBuffer, row: int) -> tb.Light:
+        """The light of photograph ``row``."""
+        return [light[k : k + 1] for light in self(g) for k in range(len(light))][row]
 
 
 def uniform_or_texture(start: float, texels: int) -> tb.nn.Field:
