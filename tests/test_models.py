@@ -1,0 +1,190 @@
+"""Closed forms of each model, and what the contract cannot know."""
+
+import math
+
+import pytest
+import torch
+
+import torchbrdf as tb
+from torchbrdf.bsdf.base import PLANAR_CHANNELS
+from torchbrdf.testing.energy import hemisphere
+from torchbrdf.testing.subject import above, at_angles, generator
+
+UP = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
+EXPONENTS = (0.0, 0.3, 1.0, 5.0, 30.0, 200.0)
+
+
+def integral(bsdf, wo=UP):
+    value, moved = hemisphere(bsdf, wo)
+    assert moved < 1e-4
+    return value.item()
+
+
+@pytest.mark.parametrize("s", EXPONENTS)
+def test_phong_albedo_at_normal_incidence(s):
+    assert integral(tb.Phong(1.0, s, normalization="bound")) == pytest.approx((s + 1) / (s + 2), abs=1e-4)
+    assert integral(tb.Phong(1.0, s, normalization="modified")) == pytest.approx(1.0, abs=1e-4)
+    assert integral(tb.Phong(1.0, s, normalization="none")) == pytest.approx(2 * math.pi / (s + 2), abs=1e-4)
+
+
+@pytest.mark.parametrize("s", EXPONENTS)
+def test_blinn_phong_albedo_is_one_at_normal_view(s):
+    assert integral(tb.BlinnPhong(1.0, s)) == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("s", [0.0, 0.1, 0.5, 1.0, 3.0, 10.0, 100.0])
+@pytest.mark.parametrize("model", [tb.Phong, tb.BlinnPhong], ids=["Phong", "BlinnPhong"])
+def test_no_angle_reflects_more_than_the_strength(model, s):
+    albedo = model(1.0, s).directional_albedo(at_angles(*range(0, 90, 5)), order=96)
+    assert float(albedo.max()) <= 1.0 + 2e-4  # the quadrature's own error at order 96
+
+
+def test_phong_by_hand():
+    """wo at 30 degrees, wi at 10 degrees on the other side: 20 degrees off the mirror direction."""
+    wo, wi = (torch.tensor([math.sin(a), 0.0, math.cos(a)], dtype=torch.float64) for a in (math.radians(30), -math.radians(10)))
+    expected = 0.7 * math.cos(math.radians(20)) ** 12
+    assert tb.Phong(0.7, 12.0, normalization="none").evaluate(wi, wo).item() == pytest.approx(expected, rel=1e-13)
+    f = 0.2 + 0.8 * (1 - math.cos(math.radians(20))) ** 5  # the half angle
+    tinted = tb.Phong(0.7, 12.0, fresnel=tb.Schlick(0.2), normalization="none").evaluate(wi, wo).item()
+    assert tinted == pytest.approx(expected * f, rel=1e-13)
+    h = math.cos(math.radians(10))
+    factor = 14 * 16 / (8 * math.pi * (2**-6 + 12))
+    assert tb.BlinnPhong(0.7, 12.0).evaluate(wi, wo).item() == pytest.approx(0.7 * factor * h**12, rel=1e-13)
+
+
+def test_lambert():
+    f = tb.Lambert([0.9, 0.5, 0.1]).evaluate(UP, UP)
+    torch.testing.assert_close(f * math.pi, torch.tensor([[0.9, 0.5, 0.1]], dtype=torch.float64))
+    torch.testing.assert_close(tb.Lambert(0.4).directional_albedo(above(5, generator(0))), torch.full((5, 1), 0.4, dtype=torch.float64))
+    assert tb.Lambert(0.4).directional_albedo(-UP).item() == 0
+
+
+def test_mirror():
+    wo = at_angles(60.0)
+    s = tb.Mirror([1.0, 0.5], tb.Dielectric(1.5)).sample(wo, torch.rand(1, 2, dtype=torch.float64))
+    expected = tb.fresnel.dielectric(torch.tensor(0.5, dtype=torch.float64), 1.5).item()
+    assert s.weight.tolist() == [[pytest.approx(expected), pytest.approx(0.5 * expected)]]
+    torch.testing.assert_close(s.wi, wo * torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
+    assert s.pdf.item() == 1
+    assert tb.Mirror().evaluate(s.wi, wo).item() == 0
+    assert tb.Mirror().lobes == (tb.Lobe.MIRROR,)
+    assert tb.Mirror().sample(-wo, torch.rand(1, 2, dtype=torch.float64)).weight.item() == 0
+
+
+def test_sum_and_scaled():
+    a, b = tb.Lambert([0.1, 0.2, 0.3]), tb.Phong(0.4, 9.0)
+    wi, wo = above(50, generator(1)), above(50, generator(2))
+    both = 2.0 * (a + b) + b * [0.5, 0.0, 1.0]
+    expected = 2 * a.evaluate(wi, wo) + (2 + torch.tensor([0.5, 0.0, 1.0], dtype=torch.float64)) * b.evaluate(wi, wo)
+    torch.testing.assert_close(both.evaluate(wi, wo), expected)
+    assert len((a + b + a).terms) == 3, "flat"
+    assert both.lobes == (tb.Lobe.DIFFUSE, tb.Lobe.GLOSSY, tb.Lobe.GLOSSY)
+    assert both.energy_bound.tolist() == pytest.approx([2 * 0.5 + 0.2, 2 * 0.6, 2 * 0.7 + 0.4])
+    assert (a + tb.Phong(0.4, 9.0, normalization="none")).energy_bound is None
+    assert both.select([tb.Lobe.MIRROR]) is None
+    torch.testing.assert_close((a + b).select([tb.Lobe.GLOSSY]).evaluate(wi, wo), b.evaluate(wi, wo).expand(50, 1))
+
+
+def test_pdf_and_sampler_agree_in_any_frame():
+    """The choice between the terms of a sum must not depend on the azimuth of the frame it is made in."""
+    bsdf = tb.Lambert(0.3) + tb.Phong(0.5, 8.0) + tb.BlinnPhong(0.4, 60.0)
+    n = tb.normalize(torch.randn(500, 3, dtype=torch.float64))
+    wo = tb.Frame.from_normal(n).to_world(above(500, generator(3)))
+    s = bsdf.sample(wo, torch.rand(500, 2, dtype=torch.float64), n)
+    torch.testing.assert_close(s.pdf, bsdf.pdf(s.wi, wo, n), rtol=1e-9, atol=1e-12)
+
+
+def test_local_frame_is_z_up():
+    wi, wo = above(20, generator(4)), above(20, generator(5))
+    bsdf = tb.Phong(0.5, 8.0, fresnel=tb.Dielectric(1.5)) + tb.BlinnPhong(0.4, 60.0)
+    torch.testing.assert_close(bsdf.evaluate(wi, wo), bsdf.evaluate(wi, wo, UP.expand(20, 3)))
+    torch.testing.assert_close(bsdf.evaluate(3 * wi, wo / 7), bsdf.evaluate(wi, wo, assume_unit=True))
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 31])
+def test_any_number_of_channels(channels):
+    """Few are written out, many broadcast; each channel is what it is alone."""
+    gen = generator(channels)
+    k, f0, eta = (torch.rand(channels, generator=gen, dtype=torch.float64) + 0.1 for _ in range(3))
+    wi, wo, u = above(6, gen), above(6, gen), torch.rand(6, 2, generator=gen, dtype=torch.float64)
+
+    def model(i):
+        diffuse = tb.Lambert(k[i] * 0.5) + tb.Phong(k[i], 9.0, fresnel=tb.Schlick(f0[i] * 0.5))
+        return (
+            diffuse + tb.BlinnPhong(k[i] * 0.5, 9.0, fresnel=tb.Conductor(eta[i], k[i])) + k[i] * tb.Mirror(0.5, tb.Dielectric(1 + eta[i]))
+        )
+
+    every = slice(None)
+    assert model(every).is_wide == (channels > PLANAR_CHANNELS)
+    for c in range(channels):
+        one = slice(c, c + 1)
+        torch.testing.assert_close(model(every).evaluate(wi, wo)[:, one], model(one).evaluate(wi, wo))
+        torch.testing.assert_close(model(every).directional_albedo(wo)[:, one], model(one).directional_albedo(wo))
+    assert model(every).pdf(wi, wo).shape == (6, 1)
+    sample = model(every).sample(wo, u)
+    assert [tuple(x.shape) for x in sample] == [(6, 3), (6, channels), (6, 1), (6, 1)]
+
+
+def test_sharp_lobe_in_float32():
+    """Exponent 1e6: the peak must be right, and the lobe must integrate, where the cosine has no digits left."""
+    theta = torch.linspace(0, 5e-3, 2001, dtype=torch.float64)
+    wi = torch.stack([torch.sin(theta), torch.zeros_like(theta), torch.cos(theta)], -1)
+    exact = torch.cos(theta) ** 1e6
+    found = tb.Phong(1.0, 1e6, normalization="none").evaluate(wi.float(), UP.float().expand(2001, 3)).squeeze(-1).double()
+    alive = exact > 1e-3
+    # 2e-5 holds to exponents of 3e3; beyond, the rounding of the directions costs s theta eps
+    assert float(((found - exact) / exact)[alive].abs().max()) <= 1e-2
+    assert float((found - exact).abs().max()) <= 1e-3
+
+
+@pytest.mark.parametrize("kind", ["cuda", "meta"])
+def test_parameters_given_as_numbers_follow_the_device(kind):
+    """Without a device of that kind: shapes and devices are traced, nothing is computed."""
+    from torch._subclasses.fake_tensor import FakeTensorMode
+
+    for channels in (3, 6):
+        c = [0.5] * channels
+        bsdf = (
+            tb.Lambert(c) + tb.Phong(c, 20.0, fresnel=tb.Dielectric(1.5)) + 0.3 * tb.Mirror(c, tb.Conductor(c, c)) + tb.BlinnPhong(0.2, 9.0)
+        )
+        with FakeTensorMode(allow_non_fake_inputs=True):
+            w, u = torch.empty(7, 3, device=kind), torch.empty(7, 2, device=kind)
+            s = bsdf.sample(w, u, w)
+            results = (bsdf.evaluate(w, w, w), bsdf.pdf(w, w), bsdf.directional_albedo(w), s.wi, s.weight, s.pdf)
+            assert all(r.device.type == kind and r.dtype == torch.float32 for r in results)
+
+
+WRONG = {
+    "trailing size": (lambda: tb.Lambert(0.5).evaluate(UP[:, :2], UP), ValueError, r"wi: expected shape \[..., 3\], found \[1, 2\]"),
+    "random numbers": (lambda: tb.Lambert(0.5).sample(UP, UP), ValueError, r"u: expected shape \[..., 2\]"),
+    "dtype of wo": (lambda: tb.Lambert(0.5).evaluate(UP, UP.float()), TypeError, "wo: float32 on cpu beside wi: float64 on cpu"),
+    "dtype of a texture": (
+        lambda: tb.Lambert(torch.rand(4, 3)).evaluate(UP, UP),
+        TypeError,
+        r"Lambert.albedo: float32 on cpu beside wi: float64 on cpu; convert one with .to\(...\)",
+    ),
+    "dtype in sample": (lambda: tb.Lambert(torch.rand(4, 3)).sample(UP, UP[:, :2]), TypeError, "Lambert.albedo: float32 on cpu beside wo"),
+    "device": (
+        lambda: tb.Lambert(torch.rand(4, 3, device="meta")).evaluate(UP.float(), UP.float()),
+        TypeError,
+        "float32 on meta beside wi",
+    ),
+    "normalisation": (lambda: tb.Phong(1.0, 5.0, normalization="full"), ValueError, "found 'full', legal are"),
+    "Fresnel slot": (lambda: tb.Phong(1.0, 5.0, fresnel=0.04), TypeError, r"Phong.fresnel: expected a Fresnel term .* found float"),
+    "Fresnel channels": (
+        lambda: tb.Phong([1.0] * 3, 5.0, fresnel=tb.Schlick([0.1] * 4)),
+        ValueError,
+        "different numbers of colour channels",
+    ),
+    "channels of a sum": (lambda: tb.Lambert([0.5] * 3) + tb.Lambert([0.5] * 4), ValueError, "different numbers of colour channels"),
+    "sum of nothing": (lambda: tb.Sum(()), TypeError, "expected one BSDF or more"),
+    "sum with a number": (lambda: tb.Sum((tb.Lambert(0.5), 1.0)), TypeError, "found .'Lambert', 'float'."),
+    "factor": (lambda: tb.validate(-1.0 * tb.Lambert(0.5)), ValueError, r"Scaled.factor .* legal range \[0, inf\), found -1"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_input(case):
+    call, error, message = WRONG[case]
+    with pytest.raises(error, match=message):
+        call()

@@ -1,0 +1,209 @@
+"""Values: what every frozen bundle of tensors can do, and what it refuses."""
+
+import copy
+import dataclasses
+import math
+import subprocess
+import sys
+
+import pytest
+import torch
+from torch.utils import _pytree as pytree
+
+import torchbrdf as tb
+from torchbrdf.value import NONNEGATIVE, REAL, UNIT
+
+
+def mixture(*batch):
+    gen = torch.Generator().manual_seed(0)
+
+    def colour():
+        return torch.rand(*batch, 3, generator=gen)
+
+    return tb.Lambert(colour()) + 0.5 * tb.Phong(colour(), 10 * torch.rand(*batch, 1, generator=gen), fresnel=tb.Schlick(colour()))
+
+
+def equal(a, b):
+    (xs, spec_a), (ys, spec_b) = pytree.tree_flatten(a), pytree.tree_flatten(b)
+    return spec_a == spec_b and all(torch.equal(x, y) for x, y in zip(xs, ys, strict=True))
+
+
+def test_numbers_become_tensors():
+    p = tb.Phong([0.1, 0.2, 0.3], 10)
+    assert (p.specular.dtype, p.exponent.tolist()) == (torch.float64, [10.0])
+    array = torch.rand(4, 3).numpy()
+    assert tb.Lambert(array).albedo.dtype == torch.float32
+
+
+def test_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        tb.Lambert(0.5).albedo = torch.ones(1)
+
+
+def test_to():
+    m = mixture(4).to(torch.float64)
+    assert all(t.dtype == torch.float64 for t in pytree.tree_leaves(m))
+    assert mixture(4).to("meta").terms[0].albedo.device.type == "meta"
+    assert mixture(4).to(device="meta", dtype=torch.float16).terms[0].albedo.dtype == torch.float16
+
+
+def test_detach_and_replace():
+    albedo = torch.rand(3, requires_grad=True)
+    a = tb.Lambert(albedo)
+    assert a.albedo is albedo, "a leaf stays a leaf"
+    assert not a.detach().albedo.requires_grad
+    assert a.replace(albedo=0.2).albedo.tolist() == [0.2]
+
+
+def test_indexing():
+    m = mixture(5, 4)
+    assert m.batch_shape == (5, 4)
+    for index in (2, slice(1, 3), (2, 3), (..., 1), (slice(None), 1), torch.tensor([0, 3]), torch.rand(5, 4) > 0.5, None):
+        got = m[index]
+        assert torch.equal(got.terms[0].albedo, m.terms[0].albedo[index if index != (..., 1) else (slice(None), 1)])
+        assert torch.equal(got.terms[1].inner.fresnel.f0, m.terms[1].inner.fresnel.f0[index if index != (..., 1) else (slice(None), 1)])
+        assert got.terms[1].factor.tolist() == [0.5], "what has no batch axes stays"
+    with pytest.raises(IndexError):
+        m[1, 2, 0]
+
+
+def test_indexing_follows_the_common_batch():
+    p = tb.Phong(torch.rand(4, 1, 3), torch.rand(5, 1))
+    assert p.batch_shape == (4, 5)
+    assert p[3].specular.shape == (5, 3)
+    assert p[3].exponent.shape == (5, 1)
+
+
+def test_repr():
+    assert repr(tb.Phong([0.1, 0.2, 0.3], 10)) == "Phong(specular=[0.1, 0.2, 0.3], exponent=[10.0], normalization='modified')"
+    assert repr(tb.Lambert(torch.rand(5, 3))) == "Lambert(albedo=float32[5, 3])"
+    assert "meta" not in repr(tb.Lambert(torch.rand(3, device="meta")))
+
+
+def test_save_and_load(tmp_path):
+    m = mixture(4) + tb.Mirror(0.3)
+    m.save(tmp_path / "m.pt")
+    assert equal(tb.load_value(tmp_path / "m.pt"), m)
+    torch.load(tmp_path / "m.pt", weights_only=True)  # no code in the file
+
+
+def test_load_in_a_fresh_process(tmp_path):
+    """The names in a file are found although nothing has imported them yet."""
+    mixture(4).save(tmp_path / "m.pt")
+    code = f"import torchbrdf as tb; print(tb.load_value({str(tmp_path / 'm.pt')!r}))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.startswith("Sum(terms=(Lambert")
+
+
+def test_load_refuses(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        tb.load_value(tmp_path / "absent.pt")
+    (tmp_path / "text.pt").write_text("hello")
+    with pytest.raises(ValueError, match="is not a saved torchbrdf value"):
+        tb.load_value(tmp_path / "text.pt")
+    torch.save({"value": "Unknown", "fields": {}}, tmp_path / "unknown.pt")
+    with pytest.raises(ValueError, match="found 'Unknown'"):
+        tb.load_value(tmp_path / "unknown.pt")
+    torch.save({"value": "Lambert", "fields": {"colour": torch.ones(3)}}, tmp_path / "newer.pt")
+    with pytest.raises(ValueError, match="does not fit this version"):
+        tb.load_value(tmp_path / "newer.pt")
+    torch.save([1, 2], tmp_path / "list.pt")
+    with pytest.raises(ValueError, match="found 'list'"):
+        tb.load_value(tmp_path / "list.pt")
+
+
+def test_pytree():
+    m = mixture(4)
+    leaves, spec = pytree.tree_flatten(m)
+    assert len(leaves) == 5
+    assert equal(pytree.tree_unflatten(leaves, spec), m)
+    assert [pytree.keystr(path) for path, _ in pytree.tree_leaves_with_path(tb.Phong(0.1, 5.0))] == [".specular", ".exponent"]
+    assert equal(copy.deepcopy(m), m)
+
+
+def test_transforms_see_through():
+    m = mixture(4)
+    wi, wo = (tb.normalize(torch.rand(4, 3) + 0.1) for _ in range(2))
+    expected = m.evaluate(wi, wo)
+    torch.testing.assert_close(
+        torch.func.vmap(lambda m, wi, wo: m.evaluate(wi, wo), in_dims=(0, 0, 0))(m[torch.arange(4)].map(_batch(4)), wi, wo), expected
+    )
+    _, tangent = torch.func.jvp(lambda m: m.evaluate(wi, wo), (m,), (m.map(torch.ones_like),))
+    assert tangent.shape == expected.shape
+    grads = torch.func.grad(lambda m: m.evaluate(wi, wo).sum())(m)
+    assert isinstance(grads, tb.Sum)
+    torch.testing.assert_close(grads.terms[0].albedo, torch.full((4, 3), 1 / math.pi))
+    torch.testing.assert_close(
+        torch.func.vmap(lambda a: tb.Lambert(a).evaluate(wi[0], wo[0]))(m.terms[0].albedo), m.terms[0].evaluate(wi[0], wo[0])
+    )
+
+
+def _batch(n):
+    return lambda t: t if t.dim() > 1 else t.expand(n, -1)
+
+
+def test_functional_call():
+    class Model(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.albedo = torch.nn.Parameter(torch.full((3,), 0.5))
+
+        def forward(self, wi):
+            return tb.Lambert(self.albedo).evaluate(wi, wi)
+
+    up = torch.tensor([0.0, 0.0, 1.0])
+    f = torch.func.functional_call(Model(), {"albedo": torch.full((3,), 0.25)}, (up,))
+    torch.testing.assert_close(f * math.pi, torch.full((3,), 0.25))
+
+
+WRONG = {
+    "size": (lambda: tb.Phong(0.5, torch.rand(4)), ValueError, r"Phong.exponent: expected shape \[..., 1\], found \[4\]; did you mean"),
+    "text": (lambda: tb.Lambert("red"), TypeError, "Lambert.albedo: expected a number, list, array or tensor, found str"),
+    "ints": (lambda: tb.Lambert(torch.ones(3, dtype=torch.int64)), TypeError, "expected a tensor of floats, found torch.int64; convert"),
+    "complex": (lambda: tb.Lambert(torch.ones(3, dtype=torch.complex64)), TypeError, "expected a tensor of floats, found torch.complex64"),
+    "channels": (lambda: tb.Conductor([1.0] * 3, [1.0] * 4), ValueError, "different numbers of channels"),
+    "batches": (lambda: tb.Phong(torch.rand(4, 3), torch.rand(5, 1)), ValueError, "batch shapes do not broadcast"),
+    "exponent": (lambda: tb.validate(tb.Phong(1.0, -1.0)), ValueError, r"Phong.exponent \[1\]: legal range \[0, inf\), found -1"),
+    "albedo": (
+        lambda: tb.validate(tb.Lambert([0.5, 1.2, 1.3])),
+        ValueError,
+        r"legal range \[0, 1\], found 1.2 and 1 more \(min 0.5, max 1.3\); clamp",
+    ),
+    "not a number": (lambda: tb.validate(tb.Lambert(math.nan)), ValueError, "found nan"),
+    "infinite": (lambda: tb.validate(tb.Phong(math.inf, 1.0)), ValueError, "found inf"),
+    "nested": (
+        lambda: tb.validate(tb.Mirror(1.0, tb.Dielectric(0.0))),
+        ValueError,
+        r"Mirror > Dielectric.eta .* legal range \(0, inf\), found 0",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_input(case):
+    call, error, message = WRONG[case]
+    with pytest.raises(error, match=message):
+        call()
+
+
+def test_valid_passes():
+    tb.validate(mixture(4))
+    tb.validate(tb.Lambert(torch.rand(0, 3)))
+    tb.validate(mixture(2).to("meta"))
+
+
+@pytest.mark.parametrize("interval", [UNIT, NONNEGATIVE, REAL, tb.Interval(2.0, 5.0)], ids=str)
+def test_interval(interval):
+    u = torch.linspace(-6, 6, 25, dtype=torch.float64)
+    x = interval.from_unconstrained(u)
+    assert bool(interval.contains(x).all())
+    torch.testing.assert_close(interval.to_unconstrained(x), u)
+    drawn = interval.draw((1000,), torch.Generator().manual_seed(0))
+    assert bool(interval.contains(drawn).all())
+    for end in interval.extremes():
+        assert bool(interval.contains(torch.tensor(end)))
+        assert math.isfinite(interval.to_unconstrained(torch.tensor(end)).item()), "a start on the bound begins a little inside"
+
+
+def test_interval_draws_over_decades():
+    drawn = tb.Interval(0.0, typical=(1e-3, 1e3)).draw((4000,), torch.Generator().manual_seed(0))
+    assert 0.4 < float((drawn < 1).double().mean()) < 0.6
