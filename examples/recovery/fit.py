@@ -57,8 +57,10 @@ class Confidence:
         self.parameters = list(model.parameters())
         self.residuals = [model(p) for p in points]
         self.duals = [torch.zeros_like(y, requires_grad=True) for y in self.residuals]
+        # None for the parameters that a photograph does not depend on: those of another one's light
         self.backs = [
-            torch.autograd.grad(y, self.parameters, u, create_graph=True) for y, u in zip(self.residuals, self.duals, strict=True)
+            torch.autograd.grad(y, self.parameters, u, create_graph=True, allow_unused=True)
+            for y, u in zip(self.residuals, self.duals, strict=True)
         ]
         count = sum(p.image.numel() for p in points)
         self.variance = sum(float(y.detach().square().sum()) for y in self.residuals) / count
@@ -67,8 +69,9 @@ class Confidence:
         """J'J v."""
         total = [torch.zeros_like(x) for x in v]
         for y, u, back in zip(self.residuals, self.duals, self.backs, strict=True):
-            (forward,) = torch.autograd.grad(back, u, v, retain_graph=True)
-            parts = torch.autograd.grad(y, self.parameters, forward, retain_graph=True)
+            used = [(b, x) for b, x in zip(back, v, strict=True) if b is not None]
+            (forward,) = torch.autograd.grad([b for b, _ in used], u, [x for _, x in used], retain_graph=True)
+            parts = torch.autograd.grad(y, self.parameters, forward, retain_graph=True, allow_unused=True, materialize_grads=True)
             total = [t + p for t, p in zip(total, parts, strict=True)]
         return total
 
