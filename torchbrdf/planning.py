@@ -1,18 +1,19 @@
 """What this scene calls for: which effects exist, and why. The plan is static; it holds no tensor, no ray caster, no file.
 
 ``shade`` is plan-and-run in one call. Deciding happens at construction, from the kinds of lobes, lights and geometry alone and
-never from data inside a graph, so a planned shader compiles to one full graph and leaves no learned parameter unused.
+never from data inside a graph, so a planned shader compiles to one full graph. A lobe that no effect serves (a mirror under
+point lights) is left out, and its parameters get no gradient.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from . import vector
-from .bsdf.base import Bsdf, Channels, check_same_kind, join
-from .effects import base, direct, mirror, shadow
+from .bsdf.base import Bsdf, Channels
+from .effects import base, check, direct, mirror, shadow
 from .light.base import Light, LocalLight
 from .light.environment import EnvironmentMap
 from .scene.gbuffer import GBuffer
@@ -21,6 +22,7 @@ from .value import validate
 from .vector import each
 
 Lights = Light | Sequence[Light]
+NOTHING_CASTS = "no mesh to cast them; pass mesh= or visibility="
 EFFECTS = {"direct": (direct.direct, direct.LOBES), "mirror": (mirror.mirror, mirror.LOBES)}
 
 
@@ -56,8 +58,8 @@ class Plan:
 
         Shadows come from ``visibility [L, ..., H, W, 1]`` where it is given, else from ``mesh``.
         """
-        sources = as_list(lights)
-        check_same_kind(bsdf, g.position, "the G-buffer's position")
+        sources = check.as_list(lights)
+        channels = check.check_scene(g, bsdf, sources)
         shadows = self._shadows(g, sources, mesh, visibility)
         surface = base.Surface.of(g, bsdf.is_wide)
         rows: list[Channels | None] = [None] * sum(map(len, sources))
@@ -65,43 +67,42 @@ class Plan:
             part = bsdf.select(lobes) if self.calls_for(name) else None
             if part is not None:
                 for row, radiance in effect(part, surface, sources, shadows):
-                    rows[row] = radiance if rows[row] is None else each(torch.add, rows[row], radiance)
-        return _assemble(rows, surface, bsdf, per_light).to(g.position.dtype)
+                    before = rows[row]
+                    rows[row] = radiance if before is None else each(torch.add, before, radiance)
+        return base.assemble(rows, surface, channels, per_light).to(g.position.dtype)
 
     def _shadows(self, g: GBuffer, lights: Sequence[Light], mesh: Mesh | None, visibility: Tensor | None) -> Tensor | None:
         if not self.calls_for("shadow"):
+            self._check_lost_shadows(mesh, visibility)
             return None
         if visibility is not None:
-            return shadow.check(visibility, lights, g)
+            return check.check_visibility(visibility, lights, g)
         if mesh is None:
-            raise ValueError("mesh: the plan casts shadows; pass mesh=... or visibility=tb.visibility(g, lights, mesh), or plan without a mesh")
+            raise ValueError(
+                "mesh: the plan casts shadows; pass mesh=... or visibility=tb.visibility(g, lights, mesh), or plan with shadow='off'"
+            )
         return shadow.cast(g, lights, mesh)
 
-
-def _assemble(rows: Sequence[Channels | None], surface: base.Surface, bsdf: Bsdf, per_light: bool) -> Tensor:
-    dark: Channels = (torch.zeros_like(surface.cos_o),) * (1 if surface.wide else bsdf.channels)
-    if per_light:
-        return torch.stack([join(each(torch.add, dark, r) if r is not None else dark, surface.wide) for r in rows])
-    lit = [r for r in rows if r is not None]
-    total = lit[0] if lit else dark
-    for r in lit[1:]:
-        total = each(torch.add, total, r)
-    return join(total, surface.wide)
-
-
-def as_list(lights: Lights) -> list[Light]:
-    """One light or a list of them, as a list."""
-    found = [lights] if isinstance(lights, Light) else list(lights)
-    for k, light in enumerate(found):
-        if not isinstance(light, Light):
-            raise TypeError(f"lights[{k}]: expected a light such as tb.PointLight(position, intensity), found {type(light).__name__}")
-    if not found:
-        raise ValueError("lights: found none; pass at least one, such as tb.DirectionalLight([0, 0, 1], 1.0)")
-    return found
+    def _check_lost_shadows(self, mesh: Mesh | None, visibility: Tensor | None) -> None:
+        """A visibility that would be dropped without a word is an error; a mesh is worth a warning."""
+        if not any(d.why == NOTHING_CASTS for d in self.decisions):
+            return
+        remedy = "this plan was made without shadows; make it with tb.plan(..., mesh=...) or visibility=..., or with shadow='off'"
+        if visibility is not None:
+            raise ValueError(f"visibility: {remedy}")
+        if mesh is not None:
+            warnings.warn(f"mesh: {remedy}", stacklevel=4)
 
 
 def plan(
-    g: GBuffer, bsdf: Bsdf, lights: Lights, mesh: Mesh | None = None, tolerance: float | None = None, *, visibility: Tensor | None = None, shadow: str = "auto"
+    g: GBuffer,
+    bsdf: Bsdf,
+    lights: Lights,
+    mesh: Mesh | None = None,
+    tolerance: float | None = None,
+    *,
+    visibility: Tensor | None = None,
+    shadow: str = "auto",
 ) -> Plan:
     """Decide which effects this scene calls for, after checking every parameter's range.
 
@@ -112,15 +113,16 @@ def plan(
         raise ValueError(f"tolerance: found {tolerance!r}; every law of this version is computed exactly, so leave it None")
     if shadow not in ("auto", "off"):
         raise ValueError(f"shadow: found {shadow!r}, legal are 'auto' and 'off'")
-    sources = as_list(lights)
-    if not _inside_a_graph():
+    sources = check.as_list(lights)
+    check.check_scene(g, bsdf, sources)
+    if not _values_are_hidden():
         for checked in (bsdf, *sources):
             validate(checked)
-    _check_shapes(g, bsdf)
-    can_shadow = (mesh is not None or visibility is not None) and shadow == "auto"
     local = sum(len(s) for s in sources if isinstance(s, LocalLight))
     environments = sum(isinstance(s, EnvironmentMap) for s in sources)
-    return Plan((_direct(bsdf, local), _shadow(bsdf, local, can_shadow, shadow), _mirror(bsdf, environments), *_not_simulated(bsdf, environments)))
+    _refuse_integrals(bsdf, environments)
+    casts = mesh is not None or visibility is not None
+    return Plan((_direct(bsdf, local), _shadow(bsdf, local, casts, shadow), _mirror(bsdf, environments)))
 
 
 def shade(
@@ -138,23 +140,9 @@ def shade(
     return found(g, bsdf, lights, mesh=mesh, visibility=visibility, per_light=per_light)
 
 
-def _inside_a_graph() -> bool:
+def _values_are_hidden() -> bool:
     """Compiled graphs and transforms hold no values to look at: ranges are checked outside them."""
     return torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None
-
-
-def _check_shapes(g: GBuffer, bsdf: Bsdf) -> None:
-    g.require_view()
-    pixels = g.position.shape[:-1]
-    try:
-        fits = torch.broadcast_shapes(pixels, bsdf.batch_shape) == pixels
-    except RuntimeError:
-        fits = False
-    if not fits:
-        raise ValueError(
-            f"bsdf: parameters of batch shape {list(bsdf.batch_shape)} do not fit a G-buffer of {list(pixels)}; "
-            "give parameters [C] or [H, W, C], or look textures up with tb.nn.Texture"
-        )
 
 
 def _names(bsdf: Bsdf, delta: bool) -> str:
@@ -176,7 +164,7 @@ def _shadow(bsdf: Bsdf, local: int, possible: bool, wish: str) -> Decision:
     if wish == "off":
         return Decision("shadow", False, "switched off by shadow='off'")
     if not possible:
-        return Decision("shadow", False, "no mesh to cast them; pass mesh= or visibility=")
+        return Decision("shadow", False, NOTHING_CASTS)
     return Decision("shadow", True, "a mesh (or a visibility) is given: one ray per pixel and light, outside the graph, no gradient")
 
 
@@ -188,11 +176,10 @@ def _mirror(bsdf: Bsdf, environments: int) -> Decision:
     return Decision("mirror", True, "mirror reflection of the environment map: one look-up, exact; the mesh itself is not reflected")
 
 
-def _not_simulated(bsdf: Bsdf, environments: int) -> list[Decision]:
+def _refuse_integrals(bsdf: Bsdf, environments: int) -> None:
     lobes = _names(bsdf, delta=False)
     if environments and lobes:
         raise ValueError(
-            f"lights: an EnvironmentMap lights mirror lobes alone in this version, and the material also has {lobes}; "
-            "shade the two parts apart: tb.shade(g, mirror_part, environment) + tb.shade(g, other_part, point_lights)"
+            f"lights: in this version an EnvironmentMap lights mirror lobes alone, and the material has {lobes}; shade the parts "
+            "apart: tb.shade(g, mirror_part, environment) + tb.shade(g, other_part, point_or_directional_lights)"
         )
-    return []

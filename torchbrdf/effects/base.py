@@ -1,5 +1,6 @@
 """What effects share: the shading points, taken apart once, and the shape of an effect."""
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -10,7 +11,7 @@ from .. import numerics, vector
 from ..bsdf.base import Bsdf, Channels
 from ..light.base import Light
 from ..scene.gbuffer import GBuffer
-from ..vector import Geometry, Vec
+from ..vector import Geometry, Vec, each
 
 
 class Surface(NamedTuple):
@@ -21,7 +22,7 @@ class Surface(NamedTuple):
     wo: Vec
     tangent: Vec | None
     cos_o: Tensor
-    seen: Tensor  # 1 where a usable surface faces the viewer, else 0
+    seen: Tensor  # 1 where a usable surface faces the viewer, else 0; the one that always has the full shape
     wide: bool
 
     @staticmethod
@@ -39,7 +40,7 @@ class Surface(NamedTuple):
         tangent = None if g.tangent is None else parts(g.tangent)
         cos_o = vector.dot(n, wo)
         valid = g.valid if wide else g.valid.squeeze(-1)
-        seen = ((cos_o.detach() > 0) & valid).to(cos_o.dtype)
+        seen = ((cos_o.detach() > 0) & valid).to(cos_o.dtype).expand(*g.batch_shape, *(1,) * wide)
         position = Vec(*(torch.nan_to_num(c, 0.0, 0.0, 0.0) for c in parts(g.position)))
         return Surface(position, n, wo, tangent, cos_o, seen, wide)
 
@@ -65,3 +66,21 @@ def rows_of(lights: Sequence[Light], kind: type[Any]) -> list[tuple[int, Any]]:
             found.append((row, light))
         row += len(light)
     return found
+
+
+def assemble(rows: Sequence[Channels | None], surface: Surface, count: int, per_light: bool) -> Tensor:
+    """The sum of the rows ``[..., C]``, or all of them ``[L, ..., C]``, each in planar memory; rows that no effect served are dark."""
+    if per_light:
+        return torch.stack([_planes(r, surface, count) for r in rows]).movedim(1, -1)
+    lit = [r for r in rows if r is not None]
+    return _planes(functools.reduce(functools.partial(each, torch.add), lit) if lit else None, surface, count).movedim(0, -1)
+
+
+def _planes(colour: Channels | None, surface: Surface, count: int) -> Tensor:
+    """``[C, ...]`` in contiguous memory, of a colour that may have given one channel for all."""
+    if colour is None:
+        shape = surface.seen.squeeze(-1).shape if surface.wide else surface.seen.shape
+        return surface.seen.new_zeros(count, *shape)
+    if surface.wide:
+        return colour[0].expand(*colour[0].shape[:-1], count).movedim(-1, 0).contiguous()
+    return torch.stack(colour if len(colour) == count else colour * count)

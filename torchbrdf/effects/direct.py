@@ -22,7 +22,7 @@ LOBES = tuple(lobe for lobe in Lobe if not lobe.is_delta)
 
 def direct(bsdf: Bsdf, surface: Surface, lights: Sequence[Light], visibility: Tensor | None) -> list[Contribution]:
     """Radiance of every local light. ``visibility [L, ..., 1]`` counts the local lights alone."""
-    seen = 0
+    unshadowed = iter(() if visibility is None else visibility.unbind(0))
     found: list[Contribution] = []
     for first, light in rows_of(lights, LocalLight):
         for k, arrival in enumerate(light.arrivals(surface.position, surface.wide)):
@@ -31,9 +31,8 @@ def direct(bsdf: Bsdf, surface: Surface, lights: Sequence[Light], visibility: Te
             if arrival.falloff is not None:
                 strength = strength * arrival.falloff
             if visibility is not None:
-                unshadowed = visibility[seen + k]
-                strength = strength * (unshadowed if surface.wide else unshadowed.squeeze(-1))
+                free = next(unshadowed)
+                strength = strength * (free if surface.wide else free.squeeze(-1))
             irradiance = tuple(e * strength for e in arrival.colour)
             found.append((first + k, each(torch.mul, bsdf.formula(g), irradiance)))
-        seen += len(light)
     return found

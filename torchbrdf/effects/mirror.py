@@ -22,14 +22,9 @@ LOBES = (Lobe.MIRROR,)
 
 
 def mirror(bsdf: Bsdf, surface: Surface, lights: Sequence[Light], visibility: Tensor | None) -> list[Contribution]:
-    """Radiance that the mirror lobes reflect from every environment map."""
+    """Radiance that the mirror lobes reflect from every environment map. ``visibility`` knows of local lights alone."""
     wi = vector.reflect_components(surface.wo, surface.n)
     g = surface.towards(wi)
     weights = tuple(w * surface.seen for w in bsdf.mirror_reflectance(g))
-    found: list[Contribution] = []
-    for row, light in rows_of(lights, EnvironmentMap):
-        flat = vector.stack([c.squeeze(-1) for c in wi] if surface.wide else wi)
-        seen = g.colour(light.radiance(flat))
-        found.append((row, each(torch.mul, weights, seen)))
-    return found
-
+    towards = vector.stack([c.squeeze(-1) for c in wi] if surface.wide else wi)
+    return [(row, each(torch.mul, weights, g.colour(light.radiance(towards)))) for row, light in rows_of(lights, EnvironmentMap)]

@@ -14,7 +14,7 @@ from ..vector import Vec
 class Arrival(NamedTuple):
     """Light of one source at the shading points, in components."""
 
-    wi: Vec  # unit, to the light
+    wi: Vec  # unit, to the light; without batch axes where it is the same at every point
     falloff: Tensor | None  # [...] factor of the colour; None where it is 1
     colour: tuple[Tensor, ...]  # channels
 
@@ -25,19 +25,34 @@ class Light(Value):
     def __len__(self) -> int:
         return 1
 
+    @property
+    def channels(self) -> int:
+        """C, the number of colour channels."""
+        return max((t.shape[-1] for _, t, spec in self.own_tensors() if spec.size is None), default=1)
+
 
 class LocalLight(Light):
-    """Interface of lights that reach each point from one direction: each answers with irradiance on a plane facing it."""
+    """Interface of lights that reach each point from one direction: each answers with irradiance on a plane facing it.
+
+    Parameters are ``[L, k]``; ``[k]`` stands for one light.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, t, _ in list(self.own_tensors()):
-            if t.dim() > 2:
-                raise ValueError(f"{type(self).__name__}.{name}: expected shape [L, {t.shape[-1]}], found {list(t.shape)}; flatten the lights into one axis")
             object.__setattr__(self, name, t.unsqueeze(0) if t.dim() == 1 else t)
 
+    def check_shapes(self) -> None:
+        """As every value, with one batch axis at most, of one light at least."""
+        for name, t, _ in self.own_tensors():
+            if t.dim() > 2 or not t.numel():
+                remedy = "flatten the lights into one axis" if t.dim() > 2 else "leave out lights that there are none of"
+                raise ValueError(f"{type(self).__name__}.{name}: expected shape [L, {t.shape[-1]}], found {list(t.shape)}; {remedy}")
+        super().check_shapes()
+
     def __len__(self) -> int:
-        return int(self.batch_shape[0])
+        batch = self.batch_shape  # empty for what indexing and vmap make: one light
+        return int(batch[0]) if batch else 1
 
     @abstractmethod
     def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
@@ -49,12 +64,11 @@ class LocalLight(Light):
 
     def incident(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """``wi [L, ..., 3]``, unit, and the irradiance ``[L, ..., C]`` on a plane facing the light, at ``points [..., 3]``."""
-        wi, strength = [], []
-        for a in self.arrivals(vector.components(numerics.widen(points)), wide=False):
-            wi.append(vector.stack(a.wi))
-            one = torch.ones_like(a.wi.x)
-            strength.append(vector.stack([c * (one if a.falloff is None else a.falloff) for c in a.colour]))
-        return torch.stack(wi).to(points.dtype), torch.stack(strength).to(points.dtype)
+        at = vector.components(numerics.widen(points))
+        found = self.arrivals(at, wide=False)
+        wi = torch.stack([_planes(a.wi, at.x) for a in found], 1)
+        strength = torch.stack([_planes([c if a.falloff is None else c * a.falloff for c in a.colour], at.x) for a in found], 1)
+        return wi.movedim(0, -1).to(points.dtype), strength.movedim(0, -1).to(points.dtype)
 
     def rows(self, like: Tensor) -> list[tuple[Tensor, ...]]:
         """The parameters of one light after the other, in the dtype and on the device of ``like``."""
@@ -62,6 +76,11 @@ class LocalLight(Light):
         return list(zip(*[t.unbind(0) for t in tensors], strict=True))
 
 
-def channels(colour: Tensor, wide: bool) -> tuple[Tensor, ...]:
+def _planes(parts: tuple[Tensor, ...] | list[Tensor], like: Tensor) -> Tensor:
+    """``[k, ...]`` of k parts that broadcast to the shape of ``like``."""
+    return torch.stack([p.expand_as(like) for p in parts])
+
+
+def colour_parts(colour: Tensor, wide: bool) -> tuple[Tensor, ...]:
     """One light's colour ``[C]`` as the channels that a formula maps over."""
     return (colour,) if wide else colour.unbind(-1)

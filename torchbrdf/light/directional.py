@@ -1,4 +1,4 @@
-r"""Directional lights: parallel light, as of the sun.
+"""Directional lights: parallel light, as of the sun.
 
 ==========  ====================  ==============================================
 parameter   unit, range           meaning
@@ -6,15 +6,22 @@ parameter   unit, range           meaning
 direction   [L, 3], any length    *to* the light; normalised inside
 irradiance  [L, C] >= 0, W/m^2    on a plane that faces the light
 ==========  ====================  ==============================================
+
+A direction of length 0 is no direction: such a light gives nothing (gradient 0). Source: Lambert 1760.
+
+>>> import torch, torchbrdf as tb
+>>> wi, irradiance = tb.DirectionalLight([0.0, 0.0, 2.0], 3.0).incident(torch.zeros(1, 3))
+>>> wi.tolist(), irradiance.tolist()
+([[[0.0, 0.0, 1.0]]], [[[3.0]]])
 """
 
 import torch
 from torch import Tensor
 
-from .. import vector
+from .. import numerics, vector
 from ..value import NONNEGATIVE, REAL, param, value
 from ..vector import Vec
-from .base import Arrival, LocalLight, channels
+from .base import Arrival, LocalLight, colour_parts
 
 
 @value
@@ -25,9 +32,9 @@ class DirectionalLight(LocalLight):
     irradiance: Tensor = param(NONNEGATIVE, None, "on a plane facing the light, W/m^2")
 
     def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
-        return [Arrival(vector.normalize_components(Vec(*d.unbind(-1))), None, channels(e, wide)) for d, e in self.rows(points.x)]
+        return [Arrival(vector.normalize_components(Vec(*d.unbind(-1))), None, colour_parts(e, wide)) for d, e in self.rows(points.x)]
 
     def shadow_targets(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        lead = (len(self),) + (1,) * (points.dim() - 1)
-        wi = vector.normalize(self.direction.to(points)).expand(len(self), 3).reshape(*lead, 3).expand(len(self), *points.shape)
-        return wi, torch.full((*wi.shape[:-1], 1), torch.inf, dtype=points.dtype, device=points.device)
+        at = numerics.widen(points)
+        wi = vector.normalize(self.direction.to(at)).expand(len(self), 3).reshape(len(self), *(1,) * (at.dim() - 1), 3)
+        return wi.expand(len(self), *at.shape), at.new_full((len(self), *at.shape[:-1], 1), torch.inf)

@@ -10,14 +10,18 @@ intensity  [L, C] >= 0, W/sr    radiant intensity, per channel
 =========  ===================  ================================
 
 A point that coincides with a light receives nothing from it (gradient 0). Source: Lambert 1760.
+
+>>> import torch, torchbrdf as tb
+>>> tb.PointLight([0.0, 0.0, 2.0], 8.0).incident(torch.zeros(1, 3))[1].tolist()
+[[[2.0]]]
 """
 
 from torch import Tensor
 
-from .. import vector
+from .. import numerics, vector
 from ..value import NONNEGATIVE, REAL, param, value
 from ..vector import Vec
-from .base import Arrival, LocalLight, channels
+from .base import Arrival, LocalLight, colour_parts
 
 
 @value
@@ -32,11 +36,11 @@ class PointLight(LocalLight):
         for position, intensity in self.rows(points.x):
             towards = vector.subtract(Vec(*position.unbind(-1)), points)
             wi, inverse = vector.direction_and_inverse_length(towards)
-            found.append(Arrival(wi, inverse * inverse, channels(intensity, wide)))
+            found.append(Arrival(wi, inverse * inverse, colour_parts(intensity, wide)))
         return found
 
     def shadow_targets(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        lead = (len(self),) + (1,) * (points.dim() - 1)
-        position = self.position.to(points).expand(len(self), 3).reshape(*lead, 3)
-        wi, distance = vector.direction_and_length(vector.components(position - points))
+        at = numerics.widen(points)
+        position = self.position.to(at).expand(len(self), 3).reshape(len(self), *(1,) * (at.dim() - 1), 3)
+        wi, distance = vector.direction_and_length(vector.components(position - at))
         return vector.stack(wi), distance.unsqueeze(-1)

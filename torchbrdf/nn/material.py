@@ -1,8 +1,9 @@
 """Materials: the ``nn.Module`` face of any value (a BSDF, a Fresnel term, a light), one field per parameter."""
 
+import dataclasses
 from typing import Any
 
-from torch import Tensor, nn
+from torch import nn
 
 from ..bsdf.base import Bsdf
 from ..scene.gbuffer import GBuffer
@@ -13,22 +14,31 @@ from .fields import Constant, Field
 class Material(nn.Module):
     """``Material(tb.Lambert, albedo=tb.nn.Texture(...))``: ``material(g)`` is a ``Lambert`` at every pixel of ``g``.
 
-    A parameter may be a :class:`Field`, a number or tensor (held constant), or, where the model takes a value such as a
-    Fresnel term, another ``Material`` or that value itself. Other arguments (names, flags) pass through.
+    A parameter may be a :class:`Field`, any other module that answers to a G-buffer (such as a network, which then keeps to the
+    legal range itself), a number or tensor (held constant), or, where the model takes a value such as a Fresnel term, another
+    ``Material`` or that value itself. Such values, names and flags pass through as they are.
     """
 
     def __init__(self, model: type[Value], **parameters: Any) -> None:
         super().__init__()
-        self.model, self.fixed = model, {}
-        unknown = set(parameters) - set(model._fields)
-        if unknown:
-            raise TypeError(f"Material({model.__name__}): unknown parameter {sorted(unknown)}; legal are {list(model._fields)}")
+        self.model = model
+        self.fixed: dict[str, Any] = {}
+        self._check_names(set(parameters))
         for name, given in parameters.items():
             self._take(name, given)
 
+    def _check_names(self, given: set[str]) -> None:
+        model = self.model.__name__
+        unknown = given - set(self.model._fields)
+        if unknown:
+            raise TypeError(f"Material({model}): unknown parameter {sorted(unknown)}; legal are {list(self.model._fields)}")
+        needed = {f.name for f in dataclasses.fields(self.model) if f.default is dataclasses.MISSING}  # type: ignore[arg-type]
+        if needed - given:
+            raise TypeError(f"Material({model}): missing parameter {sorted(needed - given)}; give a number, a tensor or a field")
+
     def _take(self, name: str, given: Any) -> None:
         spec = self.model.params().get(name)
-        if spec is not None and not isinstance(given, nn.Module) and given is not None:
+        if spec is not None and given is not None and not isinstance(given, nn.Module):
             given = Constant(given)
         if isinstance(given, Field) and spec is not None:
             given.bind(spec.constraint, f"{self.model.__name__}.{name}")
@@ -39,7 +49,7 @@ class Material(nn.Module):
 
     def forward(self, g: GBuffer) -> Any:
         """The value at every pixel of ``g``."""
-        return self.model(**self.fixed, **{name: field(g) for name, field in self.named_children()})
+        return self.model(**self.fixed, **{name: field(g) for name, field in self._modules.items() if field is not None})
 
     def __add__(self, other: nn.Module) -> "MaterialSum":
         return MaterialSum(self, other)
@@ -56,15 +66,9 @@ class MaterialSum(nn.Module):
         self.terms = nn.ModuleList(terms)
 
     def forward(self, g: GBuffer) -> Bsdf:
+        """The sum of the BSDFs at every pixel of ``g``."""
         first, *rest = (term(g) for term in self.terms)
         return sum(rest, first)
 
     def __add__(self, other: nn.Module) -> "MaterialSum":
         return MaterialSum(*self.terms, other)
-
-
-def parameters_of(material: nn.Module) -> dict[str, Tensor]:
-    """Every learned parameter by its dotted name, in physical units, detached."""
-    from .fields import Stored
-
-    return {name: m.value.detach() for name, m in material.named_modules() if isinstance(m, Stored) and m.learned}

@@ -10,7 +10,8 @@ class Shader(nn.Module):
     """``shader(g, lights, visibility=None) -> radiance``.
 
     The plan is made beforehand (``tb.plan(g, material(g), lights, mesh)``), so that the effects do not depend on data:
-    compiles to one full graph (``tb.compile(shader)``), runs under ``vmap``, ``functional_call`` and DDP.
+    compiles to one full graph (``tb.compile(shader)``), runs under ``vmap``, ``functional_call`` and DDP. Parameter ranges
+    are not looked at here; learned fields keep theirs. A plan with shadows takes them from ``visibility``, outside the graph.
     """
 
     def __init__(self, material: nn.Module, plan: Plan) -> None:

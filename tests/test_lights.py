@@ -1,0 +1,144 @@
+"""Point and directional lights: the inverse square law, shapes, edges, gradients, and what they refuse."""
+
+import pytest
+import torch
+from torch.autograd import gradcheck
+
+import torchbrdf as tb
+
+
+def draw(*shape, dtype=torch.float64):
+    return torch.randn(*shape, dtype=dtype)
+
+
+def test_inverse_square_law():
+    light = tb.PointLight([[0.0, 0.0, 0.0]], [[8.0, 4.0, 2.0]])
+    for distance in (0.5, 1.0, 3.0, 1e-3, 1e3):
+        _, irradiance = light.incident(torch.tensor([[0.0, distance, 0.0]], dtype=torch.float64))
+        torch.testing.assert_close(irradiance[0, 0] * distance**2, torch.tensor([8.0, 4.0, 2.0], dtype=torch.float64))
+
+
+def test_a_point_light_is_seen_along_the_connecting_line():
+    points, position = draw(5, 7, 3), draw(2, 3)
+    wi, irradiance = tb.PointLight(position, torch.rand(2, 3, dtype=torch.float64) + 0.1).incident(points)
+    towards = position[:, None, None] - points
+    length = towards.norm(dim=-1, keepdim=True)
+    torch.testing.assert_close(wi, towards / length)
+    torch.testing.assert_close(irradiance / irradiance[..., :1], (irradiance / irradiance[..., :1])[:, :1, :1].expand_as(irradiance))
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
+@pytest.mark.parametrize("pixels", [(), (4,), (2, 5, 6)])
+@pytest.mark.parametrize("colours", [1, 3, 8])
+def test_incident_has_the_shape_and_dtype_of_the_points(pixels, colours, dtype):
+    points = draw(*pixels, 3).to(dtype)
+    for kind in (tb.PointLight, tb.DirectionalLight):
+        wi, strength = kind(draw(2, 3), torch.rand(2, colours)).incident(points)
+        assert wi.shape == (2, *pixels, 3)
+        assert strength.shape == (2, *pixels, colours)
+        assert wi.dtype == strength.dtype == dtype
+        assert tb.is_planar(wi)
+        assert tb.is_planar(strength)
+        # Half types round once, so the unit length is that of a rounded vector.
+        assert (wi.double().norm(dim=-1) - 1).abs().max() < 4 * torch.finfo(dtype).eps
+
+
+def test_direction_is_normalised_and_irradiance_is_not_changed_by_it():
+    short = tb.DirectionalLight([[0.0, 3.0, 4.0]], 2.0)
+    wi, irradiance = short.incident(draw(4, 3))
+    torch.testing.assert_close(wi[0], torch.tensor([0.0, 0.6, 0.8], dtype=torch.float64).expand(4, 3))
+    assert (irradiance == 2.0).all()
+    tiny = tb.DirectionalLight(torch.tensor([0.0, 3e-30, 4e-30]), 2.0)  # its square underflows in float32
+    torch.testing.assert_close(tiny.incident(torch.zeros(3))[0], torch.tensor([[0.0, 0.6, 0.8]]))
+
+
+@pytest.mark.parametrize(
+    "make", [lambda p: tb.PointLight(p, 1.0), lambda p: tb.DirectionalLight(p - p, 1.0)], ids=["on the point", "no direction"]
+)
+def test_light_without_a_direction_gives_nothing_and_no_gradient(make):
+    at = torch.tensor([0.3, -0.2, 1.0], dtype=torch.float64, requires_grad=True)
+    g = tb.GBuffer(at.expand(2, 2, 3), torch.tensor([0.0, 0.0, 1.0]).double().expand(2, 2, 3), torch.tensor([0.0, 0.0, 1.0]).double())
+    light = make(at)
+    image = tb.shade(g, tb.Lambert(0.5), light)
+    assert (image == 0).all()
+    (gradient,) = torch.autograd.grad(image.sum(), at)
+    assert (gradient == 0).all()
+    wi, _ = light.incident(at)
+    assert (wi == 0).all()
+
+
+def test_one_light_and_one_intensity_serve_many():
+    assert len(tb.PointLight([0.0, 0.0, 1.0], 1.0)) == 1
+    assert len(tb.PointLight(draw(4, 3), 1.0)) == 4
+    assert len(tb.PointLight([0.0, 0.0, 1.0], torch.rand(5, 3))) == 5
+    points = draw(3, 3)
+    wi, strength = tb.PointLight([0.0, 0.0, 1.0], torch.tensor([[1.0], [2.0]]).double()).incident(points)
+    torch.testing.assert_close(strength[1], 2 * strength[0])
+    torch.testing.assert_close(wi[1], wi[0])
+
+
+def test_lights_are_picked_from_a_list_one_by_one():
+    lights = tb.PointLight(draw(3, 3), torch.rand(3, 2, dtype=torch.float64))
+    points = draw(4, 3)
+    one_by_one = list(lights)
+    assert [len(light) for light in one_by_one] == [1, 1, 1]
+    for part in (0, 1):
+        torch.testing.assert_close(torch.cat([light.incident(points)[part] for light in one_by_one]), lights.incident(points)[part])
+        torch.testing.assert_close(lights[1:].incident(points)[part], lights.incident(points)[part][1:])
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64])
+def test_shadow_targets(dtype):
+    points = draw(4, 5, 3).to(dtype)
+    position, direction = draw(2, 3), draw(3, 3)
+    wi, distance = tb.PointLight(position, 1.0).shadow_targets(points)
+    assert wi.shape == (2, 4, 5, 3)
+    assert distance.shape == (2, 4, 5, 1)
+    # From the point along the direction by the distance stands the light.
+    reached = points.double() + wi.double() * distance.double()
+    torch.testing.assert_close(reached, position[:, None, None].expand_as(reached), atol=1e-5 if dtype != torch.float64 else 1e-12, rtol=0)
+    wi, distance = tb.DirectionalLight(direction, 1.0).shadow_targets(points)
+    assert wi.shape == (3, 4, 5, 3)
+    assert torch.isinf(distance).all()
+    assert distance.shape == (3, 4, 5, 1)
+    torch.testing.assert_close(wi[:, 1, 2].double(), torch.nn.functional.normalize(direction, dim=-1), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"), [(tb.PointLight, ("position", "intensity")), (tb.DirectionalLight, ("direction", "irradiance"))]
+)
+def test_gradients_reach_every_parameter(kind, names):
+    place, colour = draw(2, 3).requires_grad_(), (torch.rand(2, 2, dtype=torch.float64) + 0.5).requires_grad_()
+    points = (draw(3, 3) + 3.0).requires_grad_()
+
+    def irradiance(*given):
+        return torch.cat([x.flatten() for x in kind(**dict(zip(names, given[:2], strict=True))).incident(given[2])])
+
+    assert gradcheck(irradiance, (place, colour, points))
+
+    def radiance(*given):
+        up = torch.tensor([0.1, 0.2, 1.0], dtype=torch.float64)
+        g = tb.GBuffer(given[2], up.expand(3, 3), up.expand(3, 3))
+        return tb.shade(g, tb.Lambert([0.3, 0.6]), kind(**dict(zip(names, given[:2], strict=True))))
+
+    lifted = place.detach() * 0.2 + torch.tensor([3.0, 3.0, 7.0])  # above every point's horizon
+    assert gradcheck(radiance, (lifted.requires_grad_(), colour, points))
+
+
+WRONG = {
+    "batches": (lambda: tb.PointLight(torch.zeros(2, 3), torch.ones(3, 3)), r"PointLight: batch shapes do not broadcast: .*position.*\(2,\).*intensity.*\(3,\)"),
+    "size": (lambda: tb.PointLight(torch.zeros(2, 2), 1.0), r"PointLight.position: expected shape \[..., 3\], found \[2, 2\]"),
+    "axes": (lambda: tb.PointLight(torch.zeros(2, 2, 3), 1.0), r"PointLight.position: expected shape \[L, 3\], found \[2, 2, 3\]; flatten"),
+    "colour axes": (lambda: tb.DirectionalLight([0.0, 0.0, 1.0], torch.ones(2, 2, 3)), r"DirectionalLight.irradiance: expected shape \[L, 3\], found \[2, 2, 3\]; flatten"),
+    "none": (lambda: tb.PointLight(torch.zeros(0, 3), 1.0), r"PointLight.position: expected shape \[L, 3\], found \[0, 3\]; leave out"),
+    "direction size": (lambda: tb.DirectionalLight([1.0, 0.0], 1.0), r"DirectionalLight.direction: expected shape \[..., 3\], found \[2\]"),
+    "negative": (lambda: tb.validate(tb.PointLight([0.0, 0.0, 1.0], -2.0)), r"PointLight.intensity \[1, 1\]: legal range \[0, inf\), found -2"),
+    "NaN": (lambda: tb.validate(tb.DirectionalLight([0.0, float("nan"), 1.0], 2.0)), r"DirectionalLight.direction \[1, 3\]: .* found nan"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_lights(case):
+    call, message = WRONG[case]
+    with pytest.raises(ValueError, match=message):
+        call()

@@ -1,0 +1,85 @@
+"""What effects rely on, checked once and statically: kinds, shapes, dtypes and devices of the parts of a scene."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..bsdf.base import Bsdf, check_same_kind
+from ..light.base import Light, LocalLight
+from ..scene.gbuffer import GBuffer
+
+
+def as_list(lights: Light | Sequence[Light]) -> list[Light]:
+    """One light or a list of them, as a list."""
+    try:
+        found = [lights] if isinstance(lights, Light) else list(lights)
+    except TypeError:
+        raise TypeError(f"lights: {_expected(lights, 'a light or a list of lights', 'tb.PointLight(position, intensity)')}") from None
+    for k, light in enumerate(found):
+        if not isinstance(light, Light):
+            raise TypeError(f"lights[{k}]: {_expected(light, 'a light', 'tb.PointLight(position, intensity)')}")
+    if not found:
+        raise ValueError("lights: found none; pass at least one, such as tb.DirectionalLight([0, 0, 1], 1.0)")
+    return found
+
+
+def check_scene(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int:
+    """Check kinds, shapes, dtypes and devices against each other; returns C, the number of channels of the radiance."""
+    if not isinstance(g, GBuffer):
+        raise TypeError(f"g: {_expected(g, 'a G-buffer', 'tb.GBuffer.from_mesh(mesh, camera)')}")
+    if not isinstance(bsdf, Bsdf):
+        raise TypeError(f"bsdf: {_expected(bsdf, 'a BSDF', 'tb.Lambert(albedo)')}")
+    _check_kinds(g, bsdf, lights)
+    if not expands_to(bsdf.batch_shape, g.batch_shape):
+        raise ValueError(
+            f"bsdf: parameters of batch shape {list(bsdf.batch_shape)} do not fit a G-buffer of {list(g.batch_shape)}; "
+            "give parameters [C] or [H, W, C], or look textures up with tb.nn.Texture"
+        )
+    counts = {"bsdf": bsdf.channels, **{f"lights[{k}]": light.channels for k, light in enumerate(lights)}}
+    if len(set(counts.values()) - {1}) > 1:
+        raise ValueError(f"bsdf and lights have different numbers of colour channels: {counts}; use one C, or 1")
+    return max(counts.values())
+
+
+def _check_kinds(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
+    """Parameters per pixel have the dtype and device of the pixels; lights follow in dtype, and from the CPU in device too."""
+    at = g.position
+    for name, t in (("normal", g.normal), ("view", g.require_view())):
+        if t.dtype != at.dtype or t.device != at.device:
+            raise TypeError(f"GBuffer.{name}: {_kind(t)} beside position: {_kind(at)}; convert one with .to(...)")
+    check_same_kind(bsdf, at, "the G-buffer's position")
+    for light in lights:
+        for name, t, _ in light.own_tensors():
+            if t.device != at.device and t.device.type != "cpu":
+                where = f"{type(light).__name__}.{name}"
+                raise TypeError(f"{where}: on {t.device} beside a G-buffer on {at.device}; move one with .to(...)")
+
+
+def _kind(t: Tensor) -> str:
+    return f"{str(t.dtype).removeprefix('torch.')} on {t.device}"
+
+
+def _expected(found: Any, what: str, example: str) -> str:
+    hint = "; call the module to get what it stands for: module(g)" if isinstance(found, torch.nn.Module) else ""
+    return f"expected {what} such as {example}, found {type(found).__name__}{hint}"
+
+
+def check_visibility(shadows: Tensor, lights: Sequence[Light], g: GBuffer) -> Tensor:
+    """A visibility that was passed in must have one row per local light and broadcast over the pixels."""
+    count = sum(len(light) for light in lights if isinstance(light, LocalLight))
+    pixels = g.batch_shape
+    if shadows.dim() < 2 or shadows.shape[0] != count or shadows.shape[-1] != 1 or not expands_to(shadows.shape[1:-1], pixels):
+        raise ValueError(
+            f"visibility: expected shape {[count, *pixels, 1]}, a row for each point and directional light, found {list(shadows.shape)}; "
+            "compute it with tb.visibility(g, lights, mesh)"
+        )
+    if shadows.device != g.position.device:
+        raise TypeError(f"visibility: on {shadows.device} beside a G-buffer on {g.position.device}; convert it with .to(...)")
+    return shadows.to(g.position.dtype)
+
+
+def expands_to(shape: torch.Size, full: torch.Size) -> bool:
+    """Whether a shape broadcasts to ``full`` without changing it."""
+    return len(shape) <= len(full) and all(a in (1, b) for a, b in zip(reversed(shape), reversed(full), strict=False))

@@ -1,0 +1,80 @@
+"""Textures: a picture of a parameter, looked up at ``g.uv``."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .. import numerics, vector
+from ..scene.gbuffer import GBuffer
+from .fields import Stored
+
+WRAPS = ("repeat", "clamp")
+
+
+class Texture(Stored):
+    """Texels ``[Ht, Wt, C]`` looked up bilinearly at ``g.uv``.
+
+    Texel centres at (i + 1/2)/n; row 0 is the top of the picture, v = 0 its bottom edge; ``wrap`` is "repeat" or "clamp";
+    no mip levels. ``srgb=True`` decodes the texels, which are then sRGB-encoded values in [0, 1], of 1 or 3 channels.
+    Gradients reach the texels and ``g.uv`` (not smooth where uv crosses a texel centre). A uv that is not finite reads a texel
+    of the border, with gradient 0.
+    """
+
+    def __init__(self, texels: Any, learned: bool = True, srgb: bool = False, wrap: str = "repeat") -> None:
+        super().__init__(texels, learned)
+        if self.raw.dim() != 3 or not self.raw.numel():
+            raise ValueError(f"Texture.texels: expected shape [Ht, Wt, C], found {list(self.raw.shape)}")
+        if wrap not in WRAPS:
+            raise ValueError(f"Texture.wrap: found {wrap!r}, legal are {WRAPS}")
+        if srgb and self.raw.shape[-1] not in (1, 3):
+            raise ValueError(
+                f"Texture.srgb: decodes 1 or 3 channels, found {self.raw.shape[-1]}; put the others into a texture of their own"
+            )
+        self.srgb, self.wrap = srgb, wrap
+
+    def forward(self, g: GBuffer) -> Tensor:
+        if g.uv is None:
+            raise ValueError("Texture: this G-buffer has no uv; give the mesh texture coordinates, or use tb.nn.Learned")
+        return self.at(g.uv)
+
+    @property
+    def texels(self) -> Tensor:
+        """Linear texels ``[Ht, Wt, C]``."""
+        if not self.srgb:
+            return self.value
+        from kornia.color import rgb_to_linear_rgb
+
+        planes = self.value.movedim(-1, 0)
+        return rgb_to_linear_rgb(planes.expand(3, -1, -1))[: len(planes)].movedim(0, -1)
+
+    def at(self, uv: Tensor) -> Tensor:
+        """Bilinear look-up ``[..., C]`` at ``uv [..., 2]``.
+
+        Channel by channel: gathers from planes are faster than gathers of whole pixels. By ``lerp``, which never leaves the
+        range of the texels, not even by a rounding.
+        """
+        height, width, _ = self.raw.shape
+        u, v = (numerics.widen(c) for c in uv.unbind(-1))
+        left, right, fx = self._neighbours(u * width - 0.5, width)
+        top, bottom, fy = self._neighbours((1.0 - v) * height - 0.5, height)
+        corners = [(row * width + column).reshape(-1) for row in (top, bottom) for column in (left, right)]
+
+        def blend(plane: Tensor) -> Tensor:
+            a, b, c, d = (plane.index_select(0, i).reshape(u.shape) for i in corners)
+            return torch.lerp(torch.lerp(a, b, fx), torch.lerp(c, d, fx), fy)
+
+        return vector.stack([blend(c.reshape(-1)) for c in self.texels.unbind(-1)])
+
+    def _neighbours(self, x: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor]:
+        """The texels on either side of ``x`` (in texels, centres at whole numbers), and how far x is on the way."""
+        x = torch.nan_to_num(x, 0.0, 0.0, 0.0)
+        low = torch.floor(x.detach())
+        first = low.long()
+        fraction = (x - low).to(self.raw.dtype)
+        if self.wrap == "repeat":
+            return first % n, (first + 1) % n, fraction
+        return first.clamp(0, n - 1), (first + 1).clamp(0, n - 1), fraction
+
+    def extra_repr(self) -> str:
+        return f"{super().extra_repr()}, wrap {self.wrap}" + (", srgb" if self.srgb else "")
