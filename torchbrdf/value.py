@@ -50,17 +50,26 @@ class Interval:
         return (*(x for x in ends if math.isfinite(x)), *self.hard)
 
     def from_unconstrained(self, u: Tensor) -> Tensor:
-        """All reals -> the interior: sigmoid for two finite ends, exp for one, the identity for none."""
+        """All reals -> the interior: sigmoid for two finite ends, exp for one, the identity for none.
+
+        Legal and finite for every u: the argument of exp is held where its result neither overflows nor is lost beside ``low``
+        (gradient 0 beyond).
+        """
         if math.isfinite(self.low) and math.isfinite(self.high):
             return self.low + (self.high - self.low) * torch.sigmoid(u)
-        return self.low + torch.exp(u) if math.isfinite(self.low) else u
+        if not math.isfinite(self.low):
+            return u
+        info = torch.finfo(u.dtype)
+        least = max(info.tiny, 2.0 * info.eps * abs(self.low)) if self.open_low else info.tiny
+        return self.low + torch.exp(u.clamp(math.log(least), -math.log(info.tiny)))
 
     def to_unconstrained(self, x: Tensor) -> Tensor:
         """Inverse of :meth:`from_unconstrained`. A start on the bound, infinitely far out, begins sqrt(eps) inside instead."""
         margin = math.sqrt(torch.finfo(x.dtype).eps)
         if math.isfinite(self.low) and math.isfinite(self.high):
-            return torch.logit((x - self.low) / (self.high - self.low), eps=margin)
-        return torch.log((x - self.low).clamp_min(margin)) if math.isfinite(self.low) else x
+            part = (x - self.low) / (self.high - self.low)
+            return torch.logit(torch.where(part <= 0, margin, torch.where(part >= 1, 1.0 - margin, part)))
+        return torch.log(torch.where(x <= self.low, margin, x - self.low)) if math.isfinite(self.low) else x
 
     def draw(self, shape: tuple[int, ...], generator: torch.Generator, dtype: torch.dtype = torch.float64) -> Tensor:
         """Random legal values: log-uniform over a positive typical range of more than one decade, uniform otherwise."""
