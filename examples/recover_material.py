@@ -22,16 +22,18 @@ from torch import Tensor, nn
 import torchbrdf as tb
 
 
-def quantities(material: nn.Module, seen: Tensor | None) -> dict[str, Tensor]:
+def quantities(material: nn.Module, lights: nn.Module, seen: Tensor | None) -> dict[str, Tensor]:
     """The numbers that the report is about, differentiable; a texture counts through the mean of its seen texels."""
     found: dict[str, Tensor] = {}
-    for name, module in material.named_modules():
+    for name, module in (*material.named_modules(), *lights.named_modules()):
         if not (isinstance(module, tb.nn.Learned | tb.nn.Texture)):
             continue
-        label = name.split(".")[-1]
+        *_, owner, label = ["", *name.split(".")]
+        label = f"{owner} {label}" if owner.startswith("light ") else label
+        axes = "xyz" if label.endswith(("position", "direction")) else "RGB"
         value = module.value if isinstance(module, tb.nn.Learned) else module.value[seen].mean(0)
         parts = value.reshape(-1)
-        found |= {f"{label} {'RGB'[k]}": p for k, p in enumerate(parts)} if len(parts) == 3 else {label: parts[0]}
+        found |= {f"{label} {axes[k]}": p for k, p in enumerate(parts)} if len(parts) == 3 else {label: parts[0]}
     return found
 
 
@@ -54,14 +56,14 @@ def true_values(problem: Problem, seen: Tensor | None) -> dict[str, float]:
 
 def report(truth: dict[str, float], start: dict[str, float], recovered: dict[str, Tensor], sure: dict[str, float]) -> list[dict[str, Any]]:
     """Print truth | start | recovered | error | confidence; eta's error is that of eta - 1, which is what reflects."""
-    print(f"\n{'':<12}{'truth':>10}{'start':>10}{'recovered':>11}{'error':>9}   confidence (1 sigma)")
+    print(f"\n{'':<20}{'truth':>10}{'start':>10}{'recovered':>11}{'error':>9}   confidence (1 sigma)")
     rows = []
     for name, value in recovered.items():
         got, true = float(value.detach()), truth.get(name)
         error = None if true is None else abs(got - true) / abs(true - 1 if name == "eta" else true)
         rows.append({"name": name, "truth": true, "start": start[name], "recovered": got, "error": error, "sigma": sure[name]})
         shown = "         -" if true is None else f"{true:10.4f}"
-        print(f"{name:<12}{shown}{start[name]:10.4f}{got:11.4f}{'      -' if error is None else f'{error:8.2%}'}   +- {sure[name]:.5f}")
+        print(f"{name:<20}{shown}{start[name]:10.4f}{got:11.4f}{'      -' if error is None else f'{error:8.2%}'}   +- {sure[name]:.5f}")
     return rows
 
 
@@ -73,12 +75,12 @@ def recover(problem: Problem, model: str, texels: int, iterations: int, out: Pat
     points = [p for v in problem.views for p in v.points()]
     seen = next((seen_texels(m, points, problem.noise or 0.0) for m in material.modules() if isinstance(m, tb.nn.Texture)), None)
     print(f"{sum(len(p.image) for p in points)} lit pixels in {len(points)} photographs")
-    started = {k: float(v.detach()) for k, v in quantities(material, seen).items()}
+    started = {k: float(v.detach()) for k, v in quantities(material, problem.lights, seen).items()}
     first = render(material, problem, view)
     both = Model(material, problem, tb.plan(points[0].g, material(points[0].g), problem.lights.one(points[0].g, 0)))
     losses = fit(both, points, iterations)
     sure = Confidence(both, points)
-    recovered = quantities(material, seen)
+    recovered = quantities(material, problem.lights, seen)
     truth = true_values(problem, seen)
     rows = report(truth, started, recovered, {k: sure.of(v) for k, v in recovered.items()})
     rows += _texel_error(material, problem, seen)

@@ -55,7 +55,7 @@ class Lights(nn.Module):
     def __init__(self, *lights: tb.Light | nn.Module) -> None:
         super().__init__()
         self.entries = list(lights)
-        self.learned = nn.ModuleList(m for m in lights if isinstance(m, nn.Module))
+        self.learned = nn.ModuleDict({f"light {k}": m for k, m in enumerate(lights) if isinstance(m, nn.Module)})
 
     def forward(self, g: tb.GBuffer) -> list[tb.Light]:
         return [entry(g) if isinstance(entry, nn.Module) else entry for entry in self.entries]
