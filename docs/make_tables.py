@@ -23,14 +23,22 @@ sys.path.insert(0, str(HERE))
 import rst  # noqa: E402
 
 NOTICE = "<!-- Written by docs/make_tables.py from the code: change the docstrings and declarations there, then run it. -->"
-MODELS_HEAD = """# Models
-
-Every parameter is a pure number, but for Phong's `specular` with `normalization="none"`, which is then in 1/sr. `[..., C]` is a colour (any number of channels), `[..., 1]` a scalar; `...` are batch axes, which broadcast with those of the points. Ranges are checked by `tb.validate`, `tb.plan` and `tb.shade`. *Drawn from* is where tests take typical values; at the values of *hard cases* the contract asks for finite values and gradients.
-
-`evaluate` is f in 1/sr without the cosine, and 0 unless both directions are strictly above the horizon: every model jumps there, and derivatives are claimed above it. Which directions, normals and index of refraction are meant is said in [conventions](conventions.md), what happens at the edges in [numerics](numerics.md)."""
-API_HEAD = """# Public names
-
-What `torchbrdf` offers as `tb.<name>`; each is imported when it is first used. Names for those who extend it (`param`'s decorator `value`, `Geometry`'s helpers, the parts of `bsdf.base`) are imported from their modules, see [extending](extending.md): `tb.value` is the module `torchbrdf.value`, not the decorator."""
+MODELS_HEAD = (
+    "# Models\n\n"
+    'Every parameter is a pure number, but for Phong\'s `specular` with `normalization="none"`, which is then in 1/sr. '
+    "`[..., C]` is a colour (any number of channels), `[..., 1]` a scalar; `...` are batch axes, which broadcast with those of the "
+    "points. Ranges are checked by `tb.validate`, `tb.plan` and `tb.shade`. *Drawn from* is where tests take typical values; at the "
+    "values of *hard cases* the contract asks for finite values and gradients.\n\n"
+    "`evaluate` is f in 1/sr without the cosine, and 0 unless both directions are strictly above the horizon: every model jumps "
+    "there, and derivatives are claimed above it. Which directions, normals and index of refraction are meant is said in "
+    "[conventions](conventions.md), what happens at the edges in [numerics](numerics.md)."
+)
+API_HEAD = (
+    "# Public names\n\n"
+    "What `torchbrdf` offers as `tb.<name>`; each is imported when it is first used. Names for those who extend it (the decorator "
+    "`value`, the parts of `bsdf.base`) are imported from their modules, see [extending](extending.md): `tb.value` is the module "
+    "`torchbrdf.value`, not the decorator."
+)
 
 
 def models() -> str:
@@ -47,11 +55,20 @@ def overview(classes: tuple[type[Any], ...]) -> str:
     rows = [["model", "formula", "parameters", "lobes", "directional albedo", "reciprocal"]]
     for cls in classes:
         parameters = ", ".join(f"`{n}` in {p.constraint}" for n, p in cls.params().items())
-        lobes = "of its parts" if isinstance(cls.lobes, property) else ", ".join(lobe.value for lobe in cls.lobes)
+        lobes = "those of its parts" if isinstance(cls.lobes, property) else ", ".join(lobe.value for lobe in cls.lobes)
         albedo = "in closed form" if "directional_albedo" in vars(cls) else "by quadrature, 48 x 48 nodes"
         albedo = "from its parts" if isinstance(cls.lobes, property) else albedo
         reciprocal = "if its parts are" if isinstance(cls.reciprocal, property) else "yes" if cls.reciprocal else "no"
-        rows.append([f"[`{cls.__name__}`](#{cls.__name__.lower()})", f"${own_formula(cls)}$", parameters or "none of its own", lobes, albedo, reciprocal])
+        rows.append(
+            [
+                f"[`{cls.__name__}`](#{cls.__name__.lower()})",
+                f"${own_formula(cls)}$",
+                parameters or "none of its own",
+                lobes,
+                albedo,
+                reciprocal,
+            ]
+        )
     return rst.as_table(rows)
 
 

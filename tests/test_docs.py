@@ -36,7 +36,11 @@ def blocks(page: Path) -> list[tuple[int, str, str | None]]:
     text = page.read_text()
     found = [(m.group(1), m.group(2), text[: m.start()].count("\n") + 2) for m in FENCE.finditer(text)]
     following = [*found, ("", "", 0)][1:]
-    return [(at, code, after[1] if after[0] == "output" else None) for (kind, code, at), after in zip(found, following, strict=True) if kind == "python"]
+    return [
+        (at, code, after[1] if after[0] == "output" else None)
+        for (kind, code, at), after in zip(found, following, strict=True)
+        if kind == "python"
+    ]
 
 
 def run_page(page: Path) -> str:
