@@ -159,7 +159,7 @@ def _in_display(channel: Any, header: dict[str, Any]) -> np.ndarray:
 def _colour(layers: Layers, path: Path) -> np.ndarray:
     """The picture among an EXR's layers, ``[H, W, C]``."""
     found: dict[tuple[int, str], dict[str, np.ndarray]] = {}
-    for index, (part, channels) in enumerate(layers.items()):
+    for index, channels in enumerate(layers.values()):
         for name, pixels in channels.items():
             prefix, _, last = name.rpartition(".")
             found.setdefault((index, prefix), {})[last.upper()] = pixels
