@@ -165,7 +165,8 @@ def _colour(layers: Layers, path: Path) -> np.ndarray:
             found.setdefault((index, prefix), {})[last.upper()] = pixels
     names = list(layers)
     for wanted in ("RGB", "Y"):
-        groups = {key: group for key, group in found.items() if all(c in group for c in wanted)}
+        # The Y beside an X is a component of a vector, not luminance.
+        groups = {key: group for key, group in found.items() if all(c in group for c in wanted) and "X" not in group}
         labels = {key: key[1] or names[key[0]] for key in groups}
         combined = [key for key, label in labels.items() if label.rpartition(".")[2].lower() == "combined"]
         chosen = (0, "") if (0, "") in groups else combined[0] if combined else next(iter(groups)) if len(groups) == 1 else None
@@ -211,8 +212,9 @@ def _is_deep_png(path: Path) -> bool:
 
 
 def _read_deep_png(path: Path) -> np.ndarray:
-    from kornia_rs import read_image as read_any  # kornia's own picture reader
+    import kornia_rs  # kornia's own picture reader
 
+    read_any = getattr(kornia_rs, "io", kornia_rs).read_image
     _, height = struct.unpack(">II", path.read_bytes()[16:24])
     pixels = np.asarray(read_any(str(path)))
     if pixels.dtype != np.uint16 or pixels.shape[0] != height:

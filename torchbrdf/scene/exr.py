@@ -14,7 +14,8 @@ Blender up to 4.5   one part, ``ViewLayer.Normal.X``                      averag
 ==================  ====================================================  =========================================================
 
 Mitsuba counts depth from the near clipping plane (0.01 by default), so where a camera and positions are known, depth is the
-distance between them. Without positions they are made from depth and the camera's rays (and lie near_clip too close if the depth is Mitsuba's).
+distance between them. Without positions they are made from depth and the camera's rays (a near_clip
+too close if the depth is Mitsuba's).
 """
 
 from collections.abc import Mapping
@@ -33,7 +34,7 @@ from .passes import Pass, group, is_blender, recognise
 FAR = 1e9  # Blender writes 1e10 where there is no surface
 WHOLE = 0.95  # length of an averaged normal from which a pixel counts as one surface
 _CHANNELS = {
-    **{f: "XYZ" for f in ("position", "normal", "view", "geometric_normal", "tangent", "barycentric")},
+    **dict.fromkeys(("position", "normal", "view", "geometric_normal", "tangent", "barycentric"), "XYZ"),
     **{"uv": "UV", "depth": "T", "mask": "", "triangle": "", "material": ""},
 }
 _LARGEST_ID = 1 << 24  # float32 holds every whole number up to here
@@ -50,7 +51,7 @@ def save_gbuffer(g: GBuffer, path: str | Path) -> None:
             raise ValueError(
                 f"save: {path}: {field} holds ids beyond {_LARGEST_ID}, which float32 cannot tell apart; save it with Value.save"
             )
-    channels = {}
+    channels: dict[str, Tensor] = {}
     for field, tensor, _ in g.own_tensors():
         parts = tensor.expand(*g.batch_shape, tensor.shape[-1]).unbind(-1)
         channels |= {_name(field, c): p for c, p in zip(_CHANNELS[field] or " ", parts, strict=True)}
@@ -162,9 +163,8 @@ def _place(fields: dict[str, Tensor], passes: Mapping[str, Pass], camera: Camera
         elif "depth" in fields:
             along = fields["depth"].double() / (cosine if planar else 1.0)
             fields["position"] = (origin + direction * along).float()
-            notes.append(
-                f"position from {'planar depth' if planar else 'depth along the ray, as if counted from the camera'}, through the pixel centres"
-            )
+            what = "planar depth" if planar else "depth along the ray, as if counted from the camera"
+            notes.append(f"position from {what}, through the pixel centres")
         if "position" in fields:
             fields["depth"] = _length(fields["position"].double() - origin).float()
     elif planar:
