@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Set everything up in .venv (needs Python >= 3.11 and pip, nothing else) and do one thing:
 
-    python3 run.py recover [options]   recover a material from photographs (examples/recover_material.py)
-    python3 run.py test [options]      the tests, a few minutes
-    python3 run.py slow [options]      the slow tests: full grids, chi2, compilation, Mitsuba, examples
-    python3 run.py check               ruff (lint and format) and mypy
-    python3 run.py bench [options]     what shading costs beside textbook code (benchmarks/shade.py)
+python3 run.py recover [options]   recover a material from photographs (examples/recover_material.py)
+python3 run.py test [options]      the tests, a few minutes
+python3 run.py slow [options]      the slow tests: full grids, chi2, compilation, Mitsuba, examples
+python3 run.py check               ruff (lint and format) and mypy
+python3 run.py bench [options]     what shading costs beside textbook code (benchmarks/shade.py)
 """
 
 import hashlib

@@ -77,7 +77,6 @@ class Interval:
         u = 1.0 - torch.rand(shape, generator=generator, dtype=dtype)  # in (0, 1]: a low end may be open
         return low * (high / low) ** u if low > 0 and high / low > 10 else low + (high - low) * u
 
-
     def _span(self) -> tuple[float, float]:
         """Some finite part: all of it, or a unit length from its one end, or [-1, 1]."""
         if math.isfinite(self.low):

@@ -54,9 +54,7 @@ def _camera(view: dict[str, Any]) -> tb.Camera:
     return tb.Camera.look_at(view["eye"], view["target"], view["up"], fov_y=view["fov_y_deg"], size=tuple(size))
 
 
-def _view(
-    view: dict[str, Any], scene: dict[str, Any], folder: Path, name: str, mesh: tb.Mesh, lights: Lights, shadow: str
-) -> View:
+def _view(view: dict[str, Any], scene: dict[str, Any], folder: Path, name: str, mesh: tb.Mesh, lights: Lights, shadow: str) -> View:
     g = tb.GBuffer.from_mesh(mesh, _camera(view).to(torch.float64))
     files = view["images"][name] if isinstance(view["images"], dict) else view["images"]
     images, unsaturated = zip(*(_photograph(folder / f) for f in files), strict=True)
