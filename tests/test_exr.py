@@ -55,7 +55,7 @@ def test_every_field_comes_back_bit_for_bit(tmp_path, capsys):
     g = sphere_gbuffer()
     g.save(tmp_path / "g.exr")
     again = tb.GBuffer.load(tmp_path / "g.exr")
-    assert {n for n, _, _ in again.own_tensors()} == {n for n in g.params()}
+    assert {n for n, _, _ in again.own_tensors()} == set(g.params())
     for name, tensor, _ in g.own_tensors():
         assert torch.equal(getattr(again, name), tensor), name
         assert getattr(again, name).dtype == tensor.dtype
@@ -251,6 +251,21 @@ def test_two_layers_for_one_field_are_asked_about(tmp_path, ball):
     with pytest.raises(ValueError, match=r"several layers could be the position: \['back.pos', 'pos'\]; say which with names="):
         tb.GBuffer.load(tmp_path / "a.exr")
     assert torch.equal(tb.GBuffer.load(tmp_path / "a.exr", names={"position": "pos"}).position, ball.position)
+
+
+def test_two_view_layers_are_told_apart_by_their_parts(tmp_path, ball):
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    parts = []
+    for layer, factor in (("A", 1.0), ("B", 2.0)):
+        for name, field in (("Position", factor * ball.position), ("Normal", ball.normal)):
+            channels = {f"{name}.{c}": np.ascontiguousarray(x) for c, x in zip("XYZ", field.unbind(-1), strict=True)}
+            parts.append(OpenEXR.Part(dict(header), channels, f"{layer}.{name}"))
+    with OpenEXR.File(parts) as file:
+        file.write(str(tmp_path / "a.exr"))
+    with pytest.raises(ValueError, match=r"several layers could be the position: \['A.Position', 'B.Position'\]"):
+        tb.GBuffer.load(tmp_path / "a.exr")
+    g = tb.GBuffer.load(tmp_path / "a.exr", names={"position": "B.Position", "normal": "A.Normal"})
+    assert torch.equal(g.position, 2 * ball.position)
 
 
 def test_depth_along_the_ray_gives_positions(tmp_path, ball):

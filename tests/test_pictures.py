@@ -128,8 +128,9 @@ def box(x0, y0, x1, y1):
     return (np.array([x0, y0], np.int32), np.array([x1, y1], np.int32))
 
 
-def test_strided_channels_are_written_right(tmp_path):
-    wide = torch.rand(4, 5, 3, dtype=torch.float64)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16])
+def test_strided_channels_are_written_right(tmp_path, dtype):
+    wide = torch.rand(4, 5, 3, dtype=dtype)
     pictures.write_exr(tmp_path / "a.exr", dict(zip(("normal.X", "normal.Y", "Z"), wide.unbind(-1), strict=True)))
     (channels,) = pictures.read_exr(tmp_path / "a.exr").values()
     assert set(channels) == {"normal.X", "normal.Y", "Z"}
@@ -210,19 +211,19 @@ def enlarged(data):
 
 
 @pytest.mark.parametrize(
-    ("what", "damage"),
+    ("why", "damage"),
     [
-        ("empty", lambda d: b""),
-        ("no EXR", lambda d: b"hello" * 100),
-        ("half of the header", lambda d: d[:100]),
-        ("the second part is cut", lambda d: d[:-2000]),
-        ("cut at the middle", lambda d: d[: len(d) // 2]),
-        ("it claims 160 GB", enlarged),
+        ("Unable to open", lambda d: b""),
+        ("Unable to open", lambda d: b"hello" * 100),
+        ("Unable to open", lambda d: d[:100]),
+        ("only 1 of its 2 parts", lambda d: d[:-2000]),
+        ("of its 2 parts", lambda d: d[: len(d) // 2]),
+        ("claims 200001 x 200001 pixels", enlarged),  # 160 GB
     ],
 )
-def test_a_damaged_exr_is_one_error_that_names_it(tmp_path, what, damage):
+def test_a_damaged_exr_is_one_error_that_names_it(tmp_path, why, damage):
     (tmp_path / "bad.exr").write_bytes(damage(exr_bytes(tmp_path)))
-    with pytest.raises(ValueError, match=r"bad\.exr is damaged"):
+    with pytest.raises(ValueError, match=rf"bad\.exr is damaged.*{why}"):
         read_image(tmp_path / "bad.exr")
 
 
@@ -359,7 +360,7 @@ def test_a_damaged_radiance_picture_is_one_error_that_says_why(tmp_path, data, w
 def test_no_prefix_of_a_radiance_picture_does_worse_than_an_error():
     """Cut anywhere, and with every byte of the first lines flipped: a picture of the right size or a ValueError."""
     for cut in range(0, len(GOOD), 7):
-        with pytest.raises(ValueError, match="."):
+        with pytest.raises(ValueError, match=r"it does not begin|no end|size line|is cut short"):
             rgbe.decode(GOOD[:cut], 10**6)
     for at in range(min(len(GOOD), 600)):
         flipped = GOOD[:at] + bytes((GOOD[at] ^ 0x55,)) + GOOD[at + 1 :]
