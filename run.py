@@ -18,6 +18,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 VENV = HERE / ".venv"
 PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+OLDEST = (3, 11)
 # task: (the extra it needs, the commands that do it)
 TASKS = {
     "recover": ("examples", [["examples/recover_material.py"]]),
@@ -44,7 +45,7 @@ def set_up(extra: str) -> None:
 
 def main() -> int:
     """Run the task that was named."""
-    if sys.version_info < (3, 11):
+    if sys.version_info < OLDEST:
         print(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}; run this file with a newer python3")
         return 2
     task = sys.argv[1] if len(sys.argv) > 1 else ""

@@ -3,7 +3,8 @@
     python benchmarks/shade.py [--side 1024] [--repeat 15] [--threads 2]
 
 The rival is competent eager PyTorch on interleaved [N, 3] memory: the same G-buffer, mask and light. Values and gradients are
-checked to agree to 1e-5 before anything is timed; rivals are interleaved, so that a noisy machine disturbs all alike; medians
+checked to agree to 1e-5 before anything is timed, all of them in float64 and 99 % of them in the float32 that is timed
+(there the textbook's own rounding passes 1e-5 in a few pixels); rivals are interleaved, so that a noisy machine disturbs all alike; medians
 and ratios are printed (ratios hold from machine to machine, milliseconds do not).
 """
 
@@ -73,13 +74,17 @@ def with_gradients(fn: Callable[[dict[str, Tensor]], Tensor], s: dict[str, Tenso
     return [out.detach(), *torch.autograd.grad(out.sum(), [leaves[k] for k in LEARNED])]
 
 
-def check(rivals: dict[str, tuple[Callable[[dict[str, Tensor]], Tensor], dict[str, Tensor]]]) -> None:
-    """Stop unless values and all gradients agree with the textbook to 1e-5 (of 1 + the magnitude)."""
+Rivals = dict[str, tuple[Callable[[dict[str, Tensor]], Tensor], dict[str, Tensor]]]
+
+
+def check(rivals: Rivals, part: float) -> None:
+    """Stop unless a part of all values and gradients agrees with the textbook to 1e-5 of their magnitude plus the mean one."""
     truth = with_gradients(*rivals["textbook eager"])
     for name, (fn, s) in rivals.items():
         for what, a, b in zip(("radiance", *LEARNED), with_gradients(fn, s), truth, strict=True):
-            worst = float(((a - b).abs() / (b.abs() + b.abs().mean())).quantile(0.9999) if a.numel() < 2**24 else 0)
-            print(f"  {name:<16} {what:<9} differs by {worst:.1e}")
+            difference = ((a - b).abs() / (b.abs() + b.abs().mean())).reshape(-1)
+            worst = float(difference.kthvalue(max(1, round(part * difference.numel()))).values)
+            print(f"  {name:<16} {what:<9} {str(a.dtype)[6:]} differs by {worst:.1e}")
             if not worst < 1e-5:
                 raise SystemExit(f"{name}: {what} disagrees with the textbook; nothing was timed")
 
@@ -98,14 +103,15 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
 
-    def rivals(side: int, dtype: torch.dtype) -> dict[str, tuple[Callable[[dict[str, Tensor]], Tensor], dict[str, Tensor]]]:
+    def rivals(side: int, dtype: torch.dtype) -> Rivals:
         interleaved = scene(side, dtype)
         flat = {k: tb.planar(v) for k, v in interleaved.items()}
         return {"textbook eager": (textbook, interleaved), "ours eager": (ours, flat), "ours compiled": (tb.compile(ours), flat)}
 
-    check(rivals(256, torch.float64))
+    check(rivals(256, torch.float64), 1.0)
     torch.compiler.reset()
     contestants = rivals(args.side, torch.float32)
+    check(contestants, 0.99)
     forward: dict[str, list[float]] = {k: [] for k in contestants}
     both: dict[str, list[float]] = {k: [] for k in contestants}
     for k in tqdm(range(args.repeat + 2), desc="rounds", leave=False):

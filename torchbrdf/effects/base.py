@@ -41,8 +41,7 @@ class Surface(NamedTuple):
         cos_o = vector.dot(n, wo)
         valid = g.valid if wide else g.valid.squeeze(-1)
         seen = ((cos_o.detach() > 0) & valid).to(cos_o.dtype).expand(*g.batch_shape, *(1,) * wide)
-        position = Vec(*(torch.nan_to_num(c, 0.0, 0.0, 0.0) for c in parts(g.position)))
-        return Surface(position, n, wo, tangent, cos_o, seen, wide)
+        return Surface(vector.finite_components(parts(g.position)), n, wo, tangent, cos_o, seen, wide)
 
     def towards(self, wi: Vec) -> Geometry:
         """The geometry of light from ``wi``; what depends on the viewer alone is shared by all lights."""
