@@ -115,6 +115,7 @@ def plan(
         raise ValueError(f"shadow: found {shadow!r}, legal are 'auto' and 'off'")
     sources = check.as_list(lights)
     check.check_scene(g, bsdf, sources)
+    check.check_mesh(mesh)
     if not _values_are_hidden():
         for checked in (bsdf, *sources):
             validate(checked)

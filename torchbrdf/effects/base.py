@@ -39,8 +39,9 @@ class Surface(NamedTuple):
         n, wo = (vector.normalize_components(parts(v)) for v in (g.normal, g.require_view()))
         tangent = None if g.tangent is None else parts(g.tangent)
         cos_o = vector.dot(n, wo)
-        valid = g.valid if wide else g.valid.squeeze(-1)
-        seen = ((cos_o.detach() > 0) & valid).to(cos_o.dtype).expand(*g.batch_shape, *(1,) * wide)
+        facing = cos_o.detach() > 0  # never so for a normal that is zero or not finite
+        mask = True if g.mask is None else g.mask if wide else g.mask.squeeze(-1)
+        seen = (facing & mask).to(cos_o.dtype).expand(*g.batch_shape, *(1,) * wide)
         return Surface(vector.finite_components(parts(g.position)), n, wo, tangent, cos_o, seen, wide)
 
     def towards(self, wi: Vec) -> Geometry:

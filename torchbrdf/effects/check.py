@@ -9,6 +9,7 @@ from torch import Tensor
 from ..bsdf.base import Bsdf, check_same_kind
 from ..light.base import Light, LocalLight
 from ..scene.gbuffer import GBuffer
+from ..scene.mesh import Mesh
 
 
 def as_list(lights: Light | Sequence[Light]) -> list[Light]:
@@ -43,6 +44,12 @@ def check_scene(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int:
     return max(counts.values())
 
 
+def check_mesh(mesh: Mesh | None) -> None:
+    """What casts shadows must be a mesh (its values are looked at when the first ray is cast)."""
+    if not isinstance(mesh, Mesh | None):
+        raise TypeError(f"mesh: {_expected(mesh, 'a mesh', 'tb.load_mesh(path)')}")
+
+
 def _check_kinds(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
     """Parameters per pixel have the dtype and device of the pixels; lights follow in dtype, and from the CPU in device too."""
     at = g.position
@@ -68,6 +75,8 @@ def _expected(found: Any, what: str, example: str) -> str:
 
 def check_visibility(shadows: Tensor, lights: Sequence[Light], g: GBuffer) -> Tensor:
     """A visibility that was passed in must have one row per local light and broadcast over the pixels."""
+    if not isinstance(shadows, Tensor):
+        raise TypeError(f"visibility: {_expected(shadows, 'a tensor', 'tb.visibility(g, lights, mesh)')}")
     count = sum(len(light) for light in lights if isinstance(light, LocalLight))
     pixels = g.batch_shape
     if shadows.dim() < 2 or shadows.shape[0] != count or shadows.shape[-1] != 1 or not expands_to(shadows.shape[1:-1], pixels):

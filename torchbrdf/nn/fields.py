@@ -35,7 +35,11 @@ class Stored(Field):
 
     def __init__(self, init: Any, learned: bool) -> None:
         super().__init__()
-        start = torch.as_tensor(init).detach()
+        try:
+            start = torch.as_tensor(init).detach()
+        except (TypeError, ValueError, RuntimeError) as error:
+            kind, found = type(self).__name__, type(init).__name__
+            raise TypeError(f"{kind}: expected a number, list, array or tensor, found {found} ({error})") from None
         keeps = isinstance(init, Tensor) and init.is_floating_point()  # numbers, lists and arrays take torch's default dtype
         start = start.to(start.dtype if keeps else torch.get_default_dtype(), copy=True)
         start = start.reshape(1) if start.dim() == 0 else start
