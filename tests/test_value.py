@@ -111,6 +111,18 @@ def test_load_refuses(tmp_path):
         tb.load_value(tmp_path / "list.pt")
 
 
+class Bomb:
+    def __reduce__(self):
+        return (print, ("code from the file ran",))
+
+
+def test_load_runs_no_code(tmp_path, capsys):
+    torch.save({"value": "Lambert", "fields": {"albedo": Bomb()}}, tmp_path / "bomb.pt")
+    with pytest.raises(ValueError, match="is not a saved torchbrdf value"):
+        tb.load_value(tmp_path / "bomb.pt")
+    assert capsys.readouterr().out == ""
+
+
 def test_pytree():
     m = mixture(4)
     leaves, spec = pytree.tree_flatten(m)

@@ -11,7 +11,7 @@ from .partition import Partition, is_delta, spread_samples
 from .subject import DELTA, Outcome, above, at_angles, directions, spread, uniform
 
 ANGLES = (0.0, 45.0, 80.0)
-SIGNIFICANCE = 0.01  # chance that a right sampler fails, over the whole batch of tests
+SIGNIFICANCE = 1e-3  # chance that a right sampler fails, over all directions; the planted faults reach 1e-18 and less
 LEAST = 5.0  # expected counts below this are pooled; chi-square is not to be trusted for fewer
 STANDARD_ERRORS = 5.0
 
