@@ -25,7 +25,7 @@ def test_edges(dtype):
     one, tiny = 1.0 + torch.finfo(dtype).eps, torch.finfo(dtype).tiny
     edges = [
         (nu.positive, -1.0, 0.0, 0.0),
-        (nu.positive, 0.0, 0.0, 0.0),
+        (nu.positive, 0.0, 0.0, 1.0),
         (nu.positive, 2.0, 2.0, 1.0),
         (nu.unit_interval, -0.5, 0.0, 0.0),
         (nu.unit_interval, 0.0, 0.0, 1.0),
@@ -86,6 +86,9 @@ def test_log1p_power_edges(dtype):
     assert power(1.0, 0.5)[1] == 0.0  # true slope infinite
     assert power(0.0, 1e7)[:2] == (1.0, -1e7)
     assert power(0.5, 1e7) == (0.0, 0.0, 0.0)  # flushed
+    least = -math.log2(torch.finfo(dtype).tiny)
+    assert power(0.5, least - 3.0)[0] == pytest.approx(8.0 * torch.finfo(dtype).tiny, rel=1e-4, abs=0)  # normal numbers are kept
+    assert power(0.5, least)[0] == 0.0
 
 
 @pytest.mark.parametrize("dtype", DTYPES)

@@ -36,8 +36,9 @@ def rounded_back(x: Tensor, dtype: torch.dtype) -> Tensor:
 
 
 def positive(x: Tensor) -> Tensor:
-    """``max(x, 0)``. Gradient: 1 for x > 0, and 0 from 0 downwards."""
-    return torch.relu(x)
+    """``max(x, 0)``. Gradient: 1 for x >= 0 (at 0 that of the lit side), 0 below."""
+    info = torch.finfo(x.dtype)
+    return functional.threshold(x, -info.smallest_normal * info.eps, 0.0)  # "greater than the number below 0"
 
 
 def step(x: Tensor) -> Tensor:

@@ -75,18 +75,28 @@ def scale(a: Vec, s: Tensor | float) -> Vec:
 
 
 def direction_and_inverse_length(v: Vec) -> tuple[Vec, Tensor]:
-    """Unit vector and 1 / length of *finite* vectors, without overflow or underflow: the largest component is divided out first.
+    """Unit vector and 1 / length of *finite* vectors, without overflow or underflow: they are scaled by their largest component.
 
-    A zero vector gives direction 0 and inverse length 0, both with gradient 0.
+    A zero vector gives direction 0 and inverse length 0, both with gradient 0; so does one so short that 1 / length, which is
+    also the slope of the direction, is not a number of the dtype.
     """
+    return _scaled_to_unit(v, _largest(v))
+
+
+def _largest(v: Vec) -> Tensor:
+    """The largest magnitude of the components, as a constant; NaN where one is NaN."""
     x, y, z = (c.detach().abs() for c in v)
-    largest = torch.maximum(torch.maximum(x, y), z)
-    smallest = torch.finfo(largest.dtype).smallest_normal * torch.finfo(largest.dtype).eps
-    divisor = largest.clamp_min(smallest)
-    u = Vec(v.x / divisor, v.y / divisor, v.z / divisor)
-    # The squares of a usable vector sum to 1 at least; the bound of 1/2 is met by the zero vector alone.
-    inverse = step(largest) / torch.sqrt(dot(u, u).clamp_min(0.5))
-    return scale(u, inverse), inverse / divisor
+    return torch.maximum(torch.maximum(x, y), z)
+
+
+def _scaled_to_unit(v: Vec, largest: Tensor) -> tuple[Vec, Tensor]:
+    # Rounding of the scale does not matter: it is common to all components and leaves with their length.
+    shortest = 2.0 / torch.finfo(largest.dtype).max
+    shrink = 1.0 / largest.clamp_min(shortest)
+    u = scale(v, shrink)
+    # The squares of a usable vector sum to 1, up to rounding; the bound of 1/2 is met by the others alone.
+    inverse = step(largest - shortest) * torch.rsqrt(dot(u, u).clamp_min(0.5))
+    return scale(u, inverse), inverse * shrink
 
 
 def direction_and_length(v: Vec) -> tuple[Vec, Tensor]:
@@ -97,14 +107,18 @@ def direction_and_length(v: Vec) -> tuple[Vec, Tensor]:
 
 def finite_components(v: Vec) -> Vec:
     """``v``, and 0 with gradient 0 for vectors that are not finite."""
-    x, y, z = (c.detach().abs() for c in v)
-    finite = torch.maximum(torch.maximum(x, y), z) < math.inf  # False for NaN, which maximum() hands on
-    return Vec(*(torch.where(finite, c, 0.0) for c in v))
+    return _finite(v, _largest(v))[0]
+
+
+def _finite(v: Vec, largest: Tensor) -> tuple[Vec, Tensor]:
+    finite = largest < math.inf  # False for NaN
+    x, y, z, largest = (torch.where(finite, c, 0.0) for c in (*v, largest))
+    return Vec(x, y, z), largest
 
 
 def normalize_components(v: Vec) -> Vec:
     """Unit vector; zero and non-finite vectors give 0 with gradient 0."""
-    return direction_and_inverse_length(finite_components(v))[0]
+    return _scaled_to_unit(*_finite(v, _largest(v)))[0]
 
 
 def normalize(v: Tensor) -> Tensor:
