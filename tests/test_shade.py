@@ -251,6 +251,8 @@ def test_shadows_by_mesh_by_visibility_and_off():
     known = tb.visibility(g, lights, mesh)
     assert torch.equal(tb.shade(g, tb.Lambert(0.5), lights, visibility=known, per_light=True), cast)
     assert torch.equal(tb.shade(g, tb.Lambert(0.5), lights, visibility=known.bool(), per_light=True), cast)
+    wide = tb.shade(g, tb.Lambert(torch.full((8,), 0.5)), lights, visibility=known, per_light=True)
+    torch.testing.assert_close(wide, cast.expand_as(wide))
     # A visibility that is given wins over the mesh, and may be soft, and learned.
     half = torch.full((2, 1, 1, 1), 0.5, requires_grad=True)
     soft = tb.shade(g, tb.Lambert(0.5), lights, visibility=half, mesh=mesh)
