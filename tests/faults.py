@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import torch
 
 import torchbrdf as tb
-from torchbrdf import numerics, vector
+from torchbrdf import geometry, numerics, vector
 from torchbrdf.bsdf import base, blinn_phong, combine, lambert, mirror, phong
 from torchbrdf.bsdf.base import Draw
+from torchbrdf.geometry import each
 from torchbrdf.optics import fresnel
-from torchbrdf.vector import Vec, each
+from torchbrdf.vector import Vec
 
 
 class Fault(NamedTuple):
@@ -97,7 +98,7 @@ def cosine_in_evaluate(original: Any) -> Any:
 
 def sample_without_cosine(_: Any) -> Any:
     def draw(model: Any, wi: Any, wo: Any, wide: bool) -> Draw:
-        g = vector.Geometry(wi, wo, base.local_normal(wi), None, wide)
+        g = geometry.Geometry(wi, wo, base.local_normal(wi), None, wide)
         pdf = model.density(g)
         return Draw(wi, tuple(f / pdf for f in model.formula(g)), pdf, torch.zeros_like(pdf, dtype=torch.int64))
 
@@ -147,7 +148,7 @@ def mirror_through_normal(_: Any) -> Any:
 
     def draw(self: Any, wo: Any, u: Any, wide: bool) -> Draw:
         one = torch.ones_like(wo.z)
-        weight = self.reflectance(vector.Geometry(wo, wo, wo, None, wide), wo.z)
+        weight = self.reflectance(geometry.Geometry(wo, wo, wo, None, wide), wo.z)
         return Draw(wo, weight, one, torch.zeros_like(one, dtype=torch.int64))
 
     return draw
@@ -270,7 +271,7 @@ FAULTS = (
     Fault("wrong pdf exponent", "samples_follow_pdf", phong.Phong, "density", phong_pdf_exponent, _plain_phong),
     Fault("sampler of another exponent", "samples_follow_pdf", blinn_phong, "cosine_power_direction", sampler_of_other_exponent, _blinn),
     Fault("dropped Jacobian", "pdf_integrates_to_one", blinn_phong.BlinnPhong, "density", half_vector_without_jacobian, _blinn),
-    Fault("no horizon", "dark_below_horizon", vector.Geometry, "lit", horizon_not_masked, _lambert),
+    Fault("no horizon", "dark_below_horizon", geometry.Geometry, "lit", horizon_not_masked, _lambert),
     Fault("samples leak below", "dark_below_horizon", base.Bsdf, "_sampled", sampler_ignores_horizon, _mirror),
     Fault("mirror sends light back", "delta_lobes", mirror.Mirror, "draw", mirror_through_normal, _mirror),
     Fault("share of a delta lobe", "mean_weight", combine.Sum, "_mixed", delta_weight_without_share, _with_mirror),
@@ -281,7 +282,7 @@ FAULTS = (
     Fault("branches on data", "vmap", lambert.Lambert, "formula", branches_on_data, _lambert),
     Fault("interleaved result", "planar_memory", base, "join", interleaved, _lambert),
     Fault("computes in half precision", "dtypes", numerics, "widen", computed_in_half, _phong),
-    Fault("bias on the cosine", "dtypes", vector.Geometry, "mirror_complement", float32_cosine, lambda: tb.Phong(1.0, 200.0)),
+    Fault("bias on the cosine", "dtypes", geometry.Geometry, "mirror_complement", float32_cosine, lambda: tb.Phong(1.0, 200.0)),
     Fault("branches on data", "compiles", lambert.Lambert, "formula", branches_on_data, _lambert),
     Fault("0/0 for a zero normal", "hard_cases", vector, "normalize_components", naive_normalise, _lambert),
     Fault("sqrt at 0", "hard_cases", numerics, "safe_sqrt", naive_sqrt, _phong),

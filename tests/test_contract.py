@@ -13,10 +13,11 @@ import torchbrdf as tb
 from torchbrdf import registry
 from torchbrdf.bsdf.base import Bsdf, draw_from
 from torchbrdf.bsdf.lambert import Lambert
+from torchbrdf.interval import UNIT
 from torchbrdf.optics.fresnel import Fresnel
 from torchbrdf.testing import PROPERTIES, instances, run
 from torchbrdf.testing.report import compiles
-from torchbrdf.value import UNIT, value
+from torchbrdf.value import value
 
 FAST = [p for p in PROPERTIES if p is not compiles]
 INSTANCES = list(instances())

@@ -7,7 +7,8 @@ import torch
 from torch.autograd import gradcheck
 
 import torchbrdf as tb
-from torchbrdf.value import NONNEGATIVE, REAL, UNIT, value
+from torchbrdf.interval import NONNEGATIVE, REAL, UNIT
+from torchbrdf.value import value
 
 ETA = tb.Dielectric.params()["eta"].constraint
 

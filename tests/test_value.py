@@ -11,7 +11,7 @@ import torch
 from torch.utils import _pytree as pytree
 
 import torchbrdf as tb
-from torchbrdf.value import NONNEGATIVE, REAL, UNIT
+from torchbrdf.interval import NONNEGATIVE, REAL, UNIT
 
 
 def mixture(*batch):

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchbrdf as tb
-from torchbrdf import vector
-from torchbrdf.vector import Geometry, Vec, components
+from torchbrdf import geometry, vector
+from torchbrdf.geometry import Geometry
+from torchbrdf.vector import Vec, components
 
 EPS = torch.finfo(torch.float32).eps
 
@@ -181,7 +182,7 @@ def test_invariants_keep_their_digits_at_the_mirror_direction():
 
 def test_each_refuses_mixed_channels():
     with pytest.raises(ValueError, match="different numbers of channels"):
-        vector.each(lambda a, b: a + b, (torch.ones(1),) * 3, (torch.ones(1),) * 2)
+        geometry.each(lambda a, b: a + b, (torch.ones(1),) * 3, (torch.ones(1),) * 2)
 
 
 def test_components_are_views():

@@ -14,8 +14,10 @@ __version__ = "0.1.0"
 # Where each public name lives; the models have a registry of their own.
 # (No public function bears a module's name: tb.plan lives in planning.py.)
 _HOME = {
-    "vector": ("Frame", "Geometry", "normalize", "reflect", "refract", "is_planar", "planar"),
-    "value": ("Interval", "Value", "load_value", "param", "validate"),
+    "geometry": ("Geometry",),
+    "interval": ("Interval",),
+    "vector": ("Frame", "normalize", "reflect", "refract", "is_planar", "planar"),
+    "value": ("Value", "load_value", "param", "validate"),
     "pictures": ("read_image", "save_image"),
     "optics.fresnel": ("Fresnel",),
     "bsdf.base": ("Bsdf", "BSDFSample", "Lobe"),

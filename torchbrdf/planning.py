@@ -14,12 +14,12 @@ from torch import Tensor
 
 from .bsdf.base import Bsdf, Channels
 from .effects import base, check, direct, mirror, shadow
+from .geometry import each
 from .light.base import Light, LocalLight
 from .light.environment import EnvironmentMap
 from .scene.gbuffer import GBuffer
 from .scene.mesh import Mesh
 from .value import validate
-from .vector import each
 
 Lights = Light | Sequence[Light]
 NOTHING_CASTS = "no mesh to cast them; pass mesh= or visibility="

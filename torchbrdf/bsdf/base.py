@@ -12,9 +12,10 @@ import torch
 from torch import Tensor
 
 from .. import numerics, vector
+from ..geometry import Geometry
 from ..optics.fresnel import Fresnel
 from ..value import Value
-from ..vector import Geometry, Vec
+from ..vector import Vec
 
 Channels = tuple[Tensor, ...]
 PLANAR_CHANNELS = 4  # up to here colours are written out channel by channel; more of them broadcast as [..., C]

@@ -26,9 +26,11 @@ import torch
 from torch import Tensor
 
 from .. import numerics, vector
+from ..geometry import Geometry
+from ..interval import UNIT
 from ..optics.fresnel import Fresnel
-from ..value import UNIT, param, value
-from ..vector import Geometry, Vec
+from ..value import param, value
+from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, draw_from, nearest
 from .phong import EXPONENT, cosine_power_direction, fresnel_kink, tinted
 

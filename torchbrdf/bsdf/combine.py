@@ -10,8 +10,10 @@ import torch
 from torch import Tensor
 
 from .. import numerics
-from ..value import Interval, param, value
-from ..vector import Geometry, Vec, each
+from ..geometry import Geometry, each
+from ..interval import Interval
+from ..value import param, value
+from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, inverse_density, local_normal, nearest
 
 

@@ -23,8 +23,10 @@ import torch
 from torch import Tensor
 
 from .. import numerics
-from ..value import UNIT, param, value
-from ..vector import Geometry, Vec
+from ..geometry import Geometry
+from ..interval import UNIT
+from ..value import param, value
+from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, draw_from, join
 
 

@@ -22,9 +22,11 @@ tensor([0.0400])
 import torch
 from torch import Tensor
 
+from ..geometry import Geometry, each
+from ..interval import UNIT
 from ..optics.fresnel import Fresnel
-from ..value import UNIT, param, value
-from ..vector import Geometry, Vec, each
+from ..value import param, value
+from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, join, nearest
 
 

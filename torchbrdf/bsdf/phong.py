@@ -35,9 +35,11 @@ import torch
 from torch import Tensor
 
 from .. import numerics, vector
+from ..geometry import Geometry, each
+from ..interval import NONNEGATIVE, Interval
 from ..optics.fresnel import Fresnel
-from ..value import NONNEGATIVE, Interval, param, value
-from ..vector import Geometry, Vec, each
+from ..value import param, value
+from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, draw_from, nearest
 
 EXPONENT = Interval(0.0, typical=(1.0, 200.0), hard=(0.5, 1e7))

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from .. import numerics, vector
 from ..bsdf.base import Bsdf, Channels
+from ..geometry import Geometry, each
 from ..light.base import Light
 from ..scene.gbuffer import GBuffer
-from ..vector import Geometry, Vec, each
+from ..vector import Vec
 
 
 class Surface(NamedTuple):

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from .. import numerics
 from ..bsdf.base import Bsdf, Lobe
+from ..geometry import each
 from ..light.base import Light, LocalLight
-from ..vector import each
 from .base import Contribution, Surface, rows_of
 
 LOBES = tuple(lobe for lobe in Lobe if not lobe.is_delta)

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from .. import vector
 from ..bsdf.base import Bsdf, Lobe
+from ..geometry import each
 from ..light.base import Light
 from ..light.environment import EnvironmentMap
-from ..vector import each
 from .base import Contribution, Surface, rows_of
 
 LOBES = (Lobe.MIRROR,)

@@ -19,7 +19,8 @@ import torch
 from torch import Tensor
 
 from .. import numerics, vector
-from ..value import NONNEGATIVE, REAL, param, value
+from ..interval import NONNEGATIVE, REAL
+from ..value import param, value
 from ..vector import Vec
 from .base import Arrival, LocalLight, colour_parts
 

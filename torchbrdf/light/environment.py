@@ -40,8 +40,9 @@ import torch
 from torch import Tensor
 
 from .. import numerics, vector
+from ..interval import NONNEGATIVE, REAL
 from ..pictures import read_image
-from ..value import NONNEGATIVE, REAL, param, value
+from ..value import param, value
 from ..vector import Vec
 from .base import Light
 

@@ -19,7 +19,8 @@ A point that coincides with a light receives nothing from it (gradient 0). Sourc
 from torch import Tensor
 
 from .. import numerics, vector
-from ..value import NONNEGATIVE, REAL, param, value
+from ..interval import NONNEGATIVE, REAL
+from ..value import param, value
 from ..vector import Vec
 from .base import Arrival, LocalLight, colour_parts
 

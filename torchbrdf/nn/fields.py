@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from .. import vector
+from ..interval import REAL, Interval
 from ..scene.gbuffer import GBuffer
-from ..value import REAL, Interval
 
 
 class Field(nn.Module):

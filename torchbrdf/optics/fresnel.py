@@ -22,8 +22,10 @@ import torch
 from torch import Tensor
 
 from .. import numerics
-from ..value import UNIT, Interval, Value, param, value
-from ..vector import Geometry, each, stack
+from ..geometry import Geometry, each
+from ..interval import UNIT, Interval
+from ..value import Value, param, value
+from ..vector import stack
 
 ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0))
 

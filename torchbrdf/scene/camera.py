@@ -23,7 +23,8 @@ import torch
 from torch import Tensor
 
 from .. import vector
-from ..value import REAL, Interval, Value, param, value
+from ..interval import REAL, Interval
+from ..value import Value, param, value
 from ..vector import Vec, components, cross, dot, stack
 
 FOCAL = Interval(0.0, open_low=True, typical=(10.0, 1000.0))

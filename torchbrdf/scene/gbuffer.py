@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from .. import vector
-from ..value import REAL, Interval, Value, param, value
+from ..interval import REAL, Interval
+from ..value import Value, param, value
 from .camera import Camera
 from .mesh import Mesh
 

@@ -9,7 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..value import REAL, Interval, Value, param, value
+from ..interval import REAL, Interval
+from ..value import Value, param, value
 from .vertex_normals import angle_weighted
 
 INDEX = Interval(0.0)

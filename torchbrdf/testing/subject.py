@@ -8,9 +8,10 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from ..bsdf.base import Bsdf, Lobe
+from ..geometry import Geometry
 from ..optics.fresnel import Fresnel
 from ..value import Value
-from ..vector import Frame, Geometry, normalize
+from ..vector import Frame, normalize
 
 DELTA = tuple(lobe for lobe in Lobe if lobe.is_delta)
 SPREAD = tuple(lobe for lobe in Lobe if not lobe.is_delta)
