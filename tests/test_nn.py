@@ -204,11 +204,11 @@ def test_uv_that_are_no_numbers_read_some_texel_without_gradient(wrap, junk):
     assert torch.isfinite(texture.raw.grad).all()
 
 
-def test_half_precision_uv_find_their_texel():
-    texels = torch.rand(64, 64, 1)
-    uv = ((torch.arange(64) + 0.5) / 64).half()
-    found = tb.nn.Texture(texels).at(torch.stack([uv, 1 - uv], -1))
-    torch.testing.assert_close(found, texels.diagonal().T, rtol=0, atol=1e-6)  # these uv are exact in half precision
+def test_half_precision_uv_are_looked_up_in_single_precision():
+    """Half a texel of 64 is lost when u * 64 itself is rounded to half precision."""
+    texture = tb.nn.Texture(torch.rand(64, 64, 1))
+    uv = torch.rand(50, 2).half()
+    assert torch.equal(texture.at(uv), texture.at(uv.float()))
 
 
 def test_channel_and_per_material():
