@@ -171,6 +171,6 @@ class Schlick(Fresnel):
     f0: Tensor = param(UNIT, None, "reflectance at normal incidence")
 
     def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
-        grazing = _fifth_power(1.0 - cos)  # once for all channels
+        grazing = _fifth_power(numerics.positive(1.0 - cos))  # once for all channels; cos may exceed 1 by rounding
         rest = 1.0 - grazing
         return each(lambda f0: f0 * rest + grazing, g.colour(self.f0))
