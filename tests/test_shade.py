@@ -271,3 +271,11 @@ def test_fields_of_the_g_buffer_broadcast():
             torch.testing.assert_close(tb.shade(wall, material, lights), tb.shade(g, material, lights))
     sky = tb.EnvironmentMap(torch.rand(4, 8, 3))
     torch.testing.assert_close(tb.shade(wall, tb.Mirror(), sky), tb.shade(g, tb.Mirror(), sky))
+
+
+@pytest.mark.parametrize("channels", [1, 3, 8])
+def test_a_single_point_is_a_g_buffer_too(channels):
+    g, material, lights = sheet(), glossy(channels), three_lights(channels)
+    point = tb.GBuffer(*(getattr(g, name)[2, 3] for name in ("position", "normal", "view")))
+    torch.testing.assert_close(tb.shade(point, material, lights), tb.shade(g, material, lights)[2, 3])
+    torch.testing.assert_close(tb.shade(point, material, lights, per_light=True), tb.shade(g, material, lights, per_light=True)[:, 2, 3])
