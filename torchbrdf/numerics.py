@@ -41,6 +41,11 @@ def positive(x: Tensor) -> Tensor:
     return functional.threshold(x, -info.smallest_normal * info.eps, 0.0)  # "greater than the number below 0"
 
 
+def finite_or_zero(x: Tensor) -> Tensor:
+    """``x``, and 0 with gradient 0 where it is not finite. (Each form is the fast one: nan_to_num eagerly, where compiled.)"""
+    return torch.where(x.abs() < math.inf, x, 0.0) if torch.compiler.is_compiling() else torch.nan_to_num(x, 0.0, 0.0, 0.0)
+
+
 def step(x: Tensor) -> Tensor:
     """1 for x > 0, else 0, in the dtype of x. No gradient."""
     return torch.sign(torch.relu(x.detach()))

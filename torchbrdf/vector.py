@@ -105,20 +105,12 @@ def direction_and_length(v: Vec) -> tuple[Vec, Tensor]:
     return direction, dot(direction, v)
 
 
-def finite_components(v: Vec) -> Vec:
-    """``v``, and 0 with gradient 0 for vectors that are not finite."""
-    return _finite(v, _largest(v))[0]
-
-
-def _finite(v: Vec, largest: Tensor) -> tuple[Vec, Tensor]:
-    finite = largest < math.inf  # False for NaN
-    x, y, z, largest = (torch.where(finite, c, 0.0) for c in (*v, largest))
-    return Vec(x, y, z), largest
-
-
 def normalize_components(v: Vec) -> Vec:
     """Unit vector; zero and non-finite vectors give 0 with gradient 0."""
-    return _scaled_to_unit(*_finite(v, _largest(v)))[0]
+    largest = _largest(v)
+    finite = largest < math.inf  # False for NaN
+    x, y, z = (torch.where(finite, c, 0.0) for c in v)
+    return _scaled_to_unit(Vec(x, y, z), numerics.finite_or_zero(largest))[0]
 
 
 def normalize(v: Tensor) -> Tensor:

@@ -45,8 +45,8 @@ from .base import Bsdf, Channels, Draw, Lobe, draw_from, nearest
 EXPONENT = Interval(0.0, typical=(1.0, 200.0), hard=(0.5, 1e7))
 NORMALIZATIONS = {
     "none": lambda s: torch.ones_like(s),
-    "bound": lambda s: (s + 1.0) / (2.0 * math.pi),
-    "modified": lambda s: (s + 2.0) / (2.0 * math.pi),
+    "bound": lambda s: (s + 1.0) * (0.5 / math.pi),
+    "modified": lambda s: (s + 2.0) * (0.5 / math.pi),
 }
 
 

@@ -43,7 +43,7 @@ class Surface(NamedTuple):
         facing = cos_o.detach() > 0  # never so for a normal that is zero or not finite
         mask = True if g.mask is None else g.mask if wide else g.mask.squeeze(-1)
         seen = (facing & mask).to(cos_o.dtype).expand((*g.batch_shape, *(1,) * wide))
-        return Surface(vector.finite_components(parts(g.position)), n, wo, tangent, cos_o, seen, wide)
+        return Surface(Vec(*map(numerics.finite_or_zero, parts(g.position))), n, wo, tangent, cos_o, seen, wide)
 
     def towards(self, wi: Vec) -> Geometry:
         """The geometry of light from ``wi``; what depends on the viewer alone is shared by all lights."""
