@@ -12,7 +12,8 @@ class Interval:
     """The legal range of a parameter.
 
     ``typical`` is the sub-range that tests draw from and learning starts in; at the ``hard`` values, the closed ends of the
-    range always among them, values and gradients must still be finite.
+    range always among them, values and gradients must still be finite. At the ``flat`` values every derivative by the parameter
+    is 0 by symmetry (F ~ (eta - 1)^2), so that learning starts beside them.
     """
 
     low: float = -math.inf
@@ -20,6 +21,7 @@ class Interval:
     open_low: bool = False
     typical: tuple[float, float] | None = None
     hard: tuple[float, ...] = ()
+    flat: tuple[float, ...] = ()
 
     def __str__(self) -> str:
         left = "(" if self.open_low or math.isinf(self.low) else "["
@@ -36,26 +38,38 @@ class Interval:
         return (*(x for x in ends if math.isfinite(x)), *self.hard)
 
     def from_unconstrained(self, u: Tensor) -> Tensor:
-        """All reals -> the interior: sigmoid for two finite ends, exp for one, the identity for none.
+        """All reals -> the range: ``sin^2(u/2)`` between two ends, ``sinh^2(u/2)`` above one, exp above an open one, else identity.
 
-        Legal and finite for every u: the argument of exp is held where its result neither overflows nor is lost beside ``low``
-        (gradient 0 beyond).
+        The first two reach their ends, and their slopes there are only as small as the root of the distance, sqrt(x (1 -+ x)); a
+        sigmoid's is the distance itself, and a long step leaves it where no gradient is. Far up, sinh^2 is an exponential. Legal
+        and finite for every u but NaN: u is held where the result neither overflows nor is lost beside ``low`` (gradient 0 beyond).
         """
+        info = torch.finfo(u.dtype)
         if math.isfinite(self.low) and math.isfinite(self.high):
-            return self.low + (self.high - self.low) * torch.sigmoid(u)
+            return self.low + (self.high - self.low) * torch.sin(0.5 * u.clamp(info.min, info.max)).square()
         if not math.isfinite(self.low):
             return u
-        info = torch.finfo(u.dtype)
-        least = max(info.tiny, 2.0 * info.eps * abs(self.low)) if self.open_low else info.tiny
-        return self.low + torch.exp(u.clamp(math.log(least), -math.log(info.tiny)))
+        most = -math.log(info.tiny)
+        if not self.open_low:
+            return self.low + torch.sinh(0.5 * u.clamp(-most, most)).square()
+        return self.low + torch.exp(u.clamp(math.log(max(info.tiny, 2.0 * info.eps * abs(self.low))), most))
 
     def to_unconstrained(self, x: Tensor) -> Tensor:
-        """Inverse of :meth:`from_unconstrained`. A start on the bound, infinitely far out, begins sqrt(eps) inside instead."""
+        """A u >= 0 (any, above an open end) with ``from_unconstrained(u) = x``; where no gradient is, one beside it.
+
+        Ends have no slope: a start on one begins sqrt(eps) inside. ``flat`` values neither: there eps^(1/4) above, sqrt(eps) in what
+        the parameter does, which grows as the square.
+        """
         margin = math.sqrt(torch.finfo(x.dtype).eps)
+        for value in self.flat:
+            x = torch.where(x == value, value + math.sqrt(margin), x)
         if math.isfinite(self.low) and math.isfinite(self.high):
-            part = (x - self.low) / (self.high - self.low)
-            return torch.logit(torch.where(part <= 0, margin, torch.where(part >= 1, 1.0 - margin, part)))
-        return torch.log(torch.where(x <= self.low, margin, x - self.low)) if math.isfinite(self.low) else x
+            part = ((x - self.low) / (self.high - self.low)).clamp(margin * (x <= self.low), 1.0 - margin * (x >= self.high))
+            return 2.0 * torch.asin(torch.sqrt(part))
+        if not math.isfinite(self.low):
+            return x
+        above = torch.where(x <= self.low, margin, x - self.low)
+        return torch.log(above) if self.open_low else 2.0 * torch.asinh(torch.sqrt(above))
 
     def draw(self, shape: tuple[int, ...], generator: torch.Generator, dtype: torch.dtype = torch.float64) -> Tensor:
         """Random legal values: log-uniform over a positive typical range of more than one decade, uniform otherwise."""

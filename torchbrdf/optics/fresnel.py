@@ -27,7 +27,7 @@ from ..interval import UNIT, Interval
 from ..value import Value, param, value
 from ..vector import stack
 
-ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0))
+ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0), flat=(1.0,))
 
 
 def _tensors(*xs: Tensor | float) -> tuple[list[Tensor], torch.dtype]:
@@ -150,7 +150,7 @@ class Conductor(Fresnel):
     """Exact conductor term (:func:`conductor`) of the complex index ``eta + i k``, one value per channel."""
 
     eta: Tensor = param(Interval(0.0, open_low=True, typical=(0.1, 3.0), hard=(0.5, 1.0, 10.0)), None, "real part of the index")
-    k: Tensor = param(Interval(0.0, typical=(0.5, 7.0), hard=(1e3,)), None, "imaginary part of the index")
+    k: Tensor = param(Interval(0.0, typical=(0.5, 7.0), hard=(1e3,), flat=(0.0,)), None, "imaginary part of the index")
 
     def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
         return each(lambda eta, k: conductor(cos, eta, k), g.colour(self.eta), g.colour(self.k))
