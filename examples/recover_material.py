@@ -14,7 +14,8 @@ from typing import Any
 
 import torch
 from recovery import builtin, scene_file
-from recovery.fit import Confidence, Model, fit
+from recovery.confidence import Confidence
+from recovery.fit import ITERATIONS, Model, fit
 from recovery.problem import Problem, make_material
 from recovery.sheet import render, save_material, save_sheet
 from torch import Tensor, nn
@@ -67,7 +68,9 @@ def report(truth: dict[str, float], start: dict[str, float], recovered: dict[str
     return rows
 
 
-def recover(problem: Problem, model: str, texels: int, iterations: int, out: Path, quiet: bool = False) -> list[dict[str, Any]]:
+def recover(
+    problem: Problem, model: str, texels: int, iterations: int | None, out: Path, quiet: bool = False, optimizer: str = "gauss-newton"
+) -> list[dict[str, Any]]:
     """Fit, report and write; returns the rows of the report."""
     material = make_material(model, texels, problem.start).double()
     view = problem.views[0]
@@ -78,7 +81,8 @@ def recover(problem: Problem, model: str, texels: int, iterations: int, out: Pat
     started = {k: float(v.detach()) for k, v in quantities(material, problem.lights, seen).items()}
     first = render(material, problem, view)
     both = Model(material, problem, tb.plan(points[0].g, material(points[0].g), problem.lights.one(points[0].g, 0)))
-    losses = fit(both, points, iterations)
+    history = fit(both, points, iterations, optimizer)
+    print(f"{optimizer}: {len(history) - 1} iterations, {history[-1].seconds:.1f} s")
     sure = Confidence(both, points)
     recovered = quantities(material, problem.lights, seen)
     truth = true_values(problem, seen)
@@ -86,7 +90,7 @@ def recover(problem: Problem, model: str, texels: int, iterations: int, out: Pat
     rows += _texel_error(material, problem, seen)
     if not quiet:
         out.mkdir(parents=True, exist_ok=True)
-        save_sheet(out / "sheet.png", view, first, render(material, problem, view), losses)
+        save_sheet(out / "sheet.png", view, first, render(material, problem, view), [step.loss for step in history])
         save_material(out, material, rows)
         print(f"\nwrote {out / 'sheet.png'}, {out / 'material.json'} and the recovered textures")
     return rows
@@ -111,7 +115,8 @@ def main(argv: list[str] | None = None) -> list[dict[str, Any]]:
     parser.add_argument("--texels", type=int, default=0, help="side of the albedo texture; 0: one colour")
     parser.add_argument("--shadow", choices=("auto", "off"), default="auto", help="off: ignore cast shadows, use the whole mask")
     parser.add_argument("--seed", type=int, default=0, help="of the scene that is made")
-    parser.add_argument("--iterations", type=int, default=500)
+    parser.add_argument("--optimizer", choices=tuple(ITERATIONS), default="gauss-newton")
+    parser.add_argument("--iterations", type=int, help=f"at most; default: {', '.join(f'{n} ({k})' for k, n in ITERATIONS.items())}")
     parser.add_argument("--out", type=Path, default=Path("out/recover_material"))
     args = parser.parse_args(argv)
     began = time.perf_counter()
@@ -119,11 +124,11 @@ def main(argv: list[str] | None = None) -> list[dict[str, Any]]:
         problem = builtin.build(args.seed)
         angle = builtin.largest_half_angle(problem)
         print(f"seed {args.seed}: {len(builtin.ANGLES)} lights, noise {problem.noise:.2g}, angle(wi, h) up to {angle:.0f} degrees")
-        rows = recover(problem, "glossy", builtin.TEXELS, args.iterations, args.out)
+        rows = recover(problem, "glossy", builtin.TEXELS, args.iterations, args.out, optimizer=args.optimizer)
     else:
         model = args.model or ("lambert" if args.material == "lambert" else "glossy")
         problem = scene_file.load(args.scene, args.material, args.shadow)
-        rows = recover(problem, model, args.texels, args.iterations, args.out)
+        rows = recover(problem, model, args.texels, args.iterations, args.out, optimizer=args.optimizer)
     print(f"{time.perf_counter() - began:.1f} s")
     return rows
 

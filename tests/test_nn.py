@@ -48,7 +48,7 @@ def test_constant_is_fixed_and_learned_is_a_parameter():
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize(("constraint", "starts"), [(UNIT, [1e-12, 1e-5, 0.1, 0.5, 0.9, 0.99999]), (NONNEGATIVE, [1e-9, 1e-3, 1.0, 20.0, 1e7]), (ETA, [1e-3, 1.0, 1.5, 30.0]), (REAL, [-4.0, 0.0, 9.0])], ids=str)  # fmt: skip
+@pytest.mark.parametrize(("constraint", "starts"), [(UNIT, [1e-12, 1e-5, 0.1, 0.5, 0.9, 0.99999]), (NONNEGATIVE, [1e-9, 1e-3, 1.0, 20.0, 1e7]), (ETA, [1e-3, 1.1, 1.5, 30.0]), (REAL, [-4.0, 0.0, 9.0])], ids=str)  # fmt: skip
 def test_learned_starts_at_its_init(constraint, starts, dtype):
     """To rounding: the logarithm's half ulp, multiplied by its own size, which is below 32 here."""
     init = torch.tensor(starts, dtype=dtype)
@@ -69,6 +69,24 @@ def test_a_start_on_the_bound_begins_just_inside_and_can_leave():
             (field(None) - target).square().sum().backward()
             optimiser.step()
         assert field(None).item() == pytest.approx(target, abs=1e-3)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(("owner", "name", "flat"), [(tb.Dielectric, "eta", 1.0), (tb.Conductor, "k", 0.0)])
+def test_a_start_where_no_slope_is_begins_beside_it(owner, name, flat, dtype):
+    """There every slope is exactly 0, for ever; the root of the root of eps away, reflectances change by its root."""
+    field = tb.nn.Learned(torch.tensor([flat], dtype=dtype))
+    field.bind(owner.params()[name].constraint, "here")
+    assert field(None).item() - flat == pytest.approx(torch.finfo(dtype).eps ** 0.25, rel=1e-3)
+
+
+@pytest.mark.parametrize("constraint", [UNIT, NONNEGATIVE, ETA, tb.Interval(-2.0, 5.0)], ids=str)
+def test_the_way_back_from_any_step(constraint):
+    """A step of any length leaves a slope, up to where the largest number of the dtype is near."""
+    for raw in (-40.0, -9.0, 3.0, 30.0, 40.0, 1e4 if constraint.high < 10 else 60.0):
+        u = torch.tensor(raw, requires_grad=True)
+        (slope,) = torch.autograd.grad(constraint.from_unconstrained(u), u)
+        assert abs(slope.item()) > torch.finfo(torch.float32).tiny, raw
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

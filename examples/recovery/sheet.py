@@ -48,7 +48,7 @@ def save_sheet(path: Path, view: View, start: Tensor, recovered: Tensor, losses:
         axis.remove()
     loss = figure.add_subplot(gs[-1, :])
     loss.semilogy(torch.tensor(losses).sqrt().numpy())
-    loss.set(xlabel="evaluation", ylabel="rms residual", title="loss")
+    loss.set(xlabel="iteration", ylabel="rms residual", title="loss")
     figure.tight_layout()
     figure.savefig(path, dpi=110)
     plt.close(figure)

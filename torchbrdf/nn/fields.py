@@ -1,8 +1,8 @@
 """Fields: modules that answer with a parameter ``[..., C]`` at every pixel of a G-buffer.
 
-A learned field stores *unconstrained* numbers and maps them through the constraint of the parameter it serves (a sigmoid for
-[0, 1], an exponential for [0, inf)), so that no optimiser step leaves the legal range. The constraint arrives when a
-:class:`~torchbrdf.nn.Material` binds the field; a field on its own is unconstrained.
+A learned field stores *unconstrained* numbers and maps them through the constraint of the parameter it serves (see
+:meth:`~torchbrdf.interval.Interval.from_unconstrained`), so that no optimiser step leaves the legal range. The constraint arrives
+when a :class:`~torchbrdf.nn.Material` binds the field; a field on its own is unconstrained.
 """
 
 from abc import abstractmethod
@@ -84,7 +84,7 @@ class Constant(Stored):
 
 
 class Learned(Stored):
-    """A learned value ``[C]`` (or one per pixel, ``[H, W, C]``), started at ``init`` (to rounding; just inside, if on the bound)."""
+    """A learned value ``[C]`` (or one per pixel, ``[H, W, C]``), started at ``init`` (to rounding; beside it, where it has no slope)."""
 
     def __init__(self, init: Any) -> None:
         super().__init__(init, learned=True)

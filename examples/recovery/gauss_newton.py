@@ -1,0 +1,85 @@
+"""Gauss-Newton with the damping of Levenberg & Marquardt, without a matrix: conjugate gradients solve for each step.
+
+The step d minimises |y + J d|^2 + damping d'D d, where D is the diagonal of J'J (Marquardt 1963: no step depends on the units of a
+parameter). It is taken if the loss falls; how well the fall was foretold steers the damping. D also preconditions the solver.
+"""
+
+import torch
+from torch import Tensor, nn
+from torch.func import functional_call
+
+from .linear import Linear, Parts, dot, plus
+from .problem import Points
+
+PROBES = 4  # for D: rough, but the mean goes on over the steps
+SOLVED = 0.1  # the residual of each solve: exact ones are wasted far from the end (Dembo, Eisenstat & Steihaug 1982)
+SOLVER_STEPS = 50
+WEAKEST = 1e-12  # of D's largest: what the photographs do not show is left where it is
+DONE = 1e-10  # relative fall of the loss
+
+
+class GaussNewton:
+    """``step()`` until it says that there is nothing left to gain. ``products`` counts those with J'J."""
+
+    def __init__(self, model: nn.Module, points: list[Points]) -> None:
+        self.model, self.points = model, points
+        self.damping, self.products = 1.0, 0
+        self.scale: Parts | None = None
+        self.generator = torch.Generator().manual_seed(0)
+        self.loss = self._loss_at(dict(model.named_parameters()))
+
+    def step(self) -> bool:
+        """One accepted step; False where no step lowers the loss, or one lowers it by less than ``DONE``."""
+        here = Linear(self.model, self.points)
+        gradient, scale = here.gradient(), self._scales(here)
+        while self.damping < 1.0 / WEAKEST:
+            move = self._solve(here, gradient, scale)
+            foretold = -2.0 * dot(gradient, move) - dot(move, here.product(move))
+            moved = {name: p.detach() + d for (name, p), d in zip(self.model.named_parameters(), move, strict=True)}
+            loss = self._loss_at(moved)
+            fall = self.loss - loss
+            if foretold <= 0 or not fall >= 0:  # a loss that is not finite fails this, too
+                if foretold <= DONE * self.loss:
+                    return False
+                self.damping *= 10.0
+                continue
+            self._take(moved, loss)
+            self.damping *= 0.1 if fall > 0.75 * foretold else 1.0 if fall > 0.25 * foretold else 4.0
+            return fall > DONE * loss
+        return False
+
+    def _loss_at(self, values: dict[str, Tensor]) -> float:
+        with torch.no_grad():
+            return sum(float(functional_call(self.model, values, (p,)).square().sum()) for p in self.points)
+
+    def _take(self, moved: dict[str, Tensor], loss: float) -> None:
+        self.loss = loss
+        with torch.no_grad():
+            for name, p in self.model.named_parameters():
+                p.copy_(moved[name])
+
+    def _scales(self, here: Linear) -> Parts:
+        """D, a running mean."""
+        new = here.diagonal(self.generator, PROBES)
+        self.scale = new if self.scale is None else [0.5 * (a + b) for a, b in zip(self.scale, new, strict=True)]
+        largest = max(float(d.max()) for d in self.scale)
+        return [d.clamp_min(WEAKEST * largest if largest > 0 else 1.0) for d in self.scale]
+
+    def _solve(self, here: Linear, gradient: Parts, scale: Parts) -> Parts:
+        """(J'J + damping D) x = -gradient, by preconditioned conjugate gradients (Hestenes & Stiefel 1952)."""
+        x = [torch.zeros_like(g) for g in gradient]
+        r = [-g for g in gradient]
+        z = [a / d for a, d in zip(r, scale, strict=True)]
+        direction, rz = z, dot(r, z)
+        enough = SOLVED**2 * rz
+        for _ in range(SOLVER_STEPS):
+            if rz <= enough:
+                break
+            bent = [h + self.damping * d * v for h, d, v in zip(here.product(direction), scale, direction, strict=True)]
+            self.products += 1
+            length = rz / dot(direction, bent)
+            x, r = plus(x, length, direction), plus(r, -length, bent)
+            z = [a / d for a, d in zip(r, scale, strict=True)]
+            rz, before = dot(r, z), rz
+            direction = plus(z, rz / before, direction)
+        return x
