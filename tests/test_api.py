@@ -6,7 +6,7 @@ import torchbrdf as tb
 
 PUBLIC = """
 BSDFSample BlinnPhong Bsdf Camera Conductor Dielectric DirectionalLight EnvironmentMap Frame Fresnel GBuffer Geometry Interval
-Lambert Light Lobe Mesh Mirror Phong Plan PointLight Scaled Schlick Sum Value compile fresnel is_planar load_mesh load_value nn
+Lambert Light Lobe Mesh Mirror Phong Plan PointLight Scaled Schlick Sum Value compile fresnel is_planar load_mesh load_value microfacet nn
 normalize param plan planar read_image reflect refract save_image shade testing validate visibility
 """.split()  # noqa: SIM905 - a list that can be read
 

@@ -32,7 +32,7 @@ _HOME = {
     "planning": ("Plan", "plan", "shade"),
     "compiling": ("compile",),
 }
-_MODULES = {"fresnel": "optics.fresnel", "nn": "nn", "testing": "testing"}
+_MODULES = {"fresnel": "optics.fresnel", "microfacet": "optics.microfacet", "nn": "nn", "testing": "testing"}
 _NAMES = {name: module for module, names in _HOME.items() for name in names} | BSDFS | FRESNEL_TERMS
 __all__ = sorted([*_NAMES, *_MODULES])
 
