@@ -298,7 +298,7 @@ def test_every_radiance_encoding(encode, width):
     if encode is new_runs and width < 8:
         encode = old_runs
     q = quads(4, width)
-    image = rgbe.decode(HEADER + b"-Y 4 +X %d\n" % width + encode(q), 10**6)
+    image = rgbe.decode(HEADER + b"-Y 4 +X %d\n" % width + encode(q))
     assert image.dtype == np.float32
     np.testing.assert_array_equal(image, expected(q).astype(np.float32))
 
@@ -313,7 +313,7 @@ def test_every_radiance_orientation(flip, mirror, transposed):
     y, x = (b"+" if flip else b"-") + b"Y 4", (b"-" if mirror else b"+") + b"X 9"
     size = x + b" " + y if transposed else y + b" " + x
     data = HEADER + size + b"\n" + (stored.swapaxes(0, 1) if transposed else stored).tobytes()
-    np.testing.assert_array_equal(rgbe.decode(data, 10**6), expected(q).astype(np.float32))
+    np.testing.assert_array_equal(rgbe.decode(data), expected(q).astype(np.float32))
 
 
 def test_zero_exponent_is_black_and_exposure_is_divided_out(tmp_path):
@@ -337,7 +337,7 @@ AT = GOOD.index(b"\n", len(HEADER)) + 1  # the first scanline
         (HEADER, "no end"),
         (HEADER + b"-Y four +X 4\n", "size line"),
         (HEADER + b"-Y 4 +Y 4\n", "size line"),
-        (HEADER + b"-Y 0 +X 4\n", "cannot hold"),
+        (HEADER + b"-Y 0 +X 4\n", "at least one"),
         (HEADER + b"-Y 99999999 +X 99999999\n", "cannot hold"),
         (HEADER.replace(b"rgbe", b"xyze") + b"-Y 1 +X 1\n1234", "FORMAT"),
         (b"#?RADIANCE\nEXPOSURE=0\n\n-Y 1 +X 1\n1234", "EXPOSURE"),
@@ -361,11 +361,11 @@ def test_no_prefix_of_a_radiance_picture_does_worse_than_an_error():
     """Cut anywhere, and with every byte of the first lines flipped: a picture of the right size or a ValueError."""
     for cut in range(0, len(GOOD), 7):
         with pytest.raises(ValueError, match=r"it does not begin|no end|size line|is cut short"):
-            rgbe.decode(GOOD[:cut], 10**6)
+            rgbe.decode(GOOD[:cut])
     for at in range(min(len(GOOD), 600)):
         flipped = GOOD[:at] + bytes((GOOD[at] ^ 0x55,)) + GOOD[at + 1 :]
         try:
-            image = rgbe.decode(flipped, 10**6)
+            image = rgbe.decode(flipped)
         except ValueError:
             continue
         assert image.size <= 3 * 10**6

@@ -6,7 +6,6 @@ shows NaN as black and the infinities as black and white, with one warning that 
 """
 
 import math
-import struct
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,31 +15,29 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import rgbe
+from . import files, raster, rgbe
 
 Layers = dict[str, dict[str, np.ndarray]]
 EIGHT_BIT = (".png", ".jpg", ".jpeg")
-# A header may claim more memory than there is. Up to 1 GiB is believed; beyond that, only what deflate's best ratio (1032)
-# could have packed into a file of this size.
-_BELIEVED, _BEST_RATIO = 1 << 30, 1032
+_ROWS = 256  # of a picture that are recoded at a time: the sRGB curve holds several copies of what it works on
 
 
 def read_image(path: str | Path, srgb: bool | None = None) -> Tensor:
     """Picture as linear float32 ``[H, W, C]``, top row first; C is 1, 3, or 4 with alpha (which is never decoded).
 
-    ``.exr`` (R, G, B and A, or Y), Radiance ``.hdr`` and everything that Pillow opens. ``srgb=None`` decodes sRGB for
-    integer pictures alone, True and False force it on or off. Of an EXR with several layers the first part's plain R, G, B
-    is taken, else the layer called Combined, else the only one. A missing file raises ``FileNotFoundError``; a damaged,
-    truncated or unknown one ``ValueError``, each naming the file.
+    ``.exr`` (R, G, B and A, or Y), Radiance ``.hdr`` and what Pillow opens of formats that are pixels alone (``raster.py``).
+    ``srgb=None`` decodes sRGB for integer pictures alone, True and False force it on or off. Of an EXR with several layers the
+    first part's plain R, G, B is taken, else the layer called Combined, else the only one. A missing file raises
+    ``FileNotFoundError``; a damaged, truncated, unknown or unbelievably large one (``files.py``) ``ValueError``, each naming the file.
     """
-    path = _existing(path, "read_image")
+    path = files.existing(path, "read_image")
     kind = path.suffix.lower()
     if kind == ".exr":
         pixels, integer = _colour(read_exr(path), path), False
     elif kind in (".hdr", ".pic", ".rgbe"):
         pixels, integer = _read_radiance(path), False
     else:
-        pixels, integer = _read_pillow(path), True
+        pixels, integer = raster.read(path), True
     image = torch.from_numpy(np.ascontiguousarray(pixels))
     return _recode(image, "rgb_to_linear_rgb") if (integer if srgb is None else srgb) else image
 
@@ -72,19 +69,18 @@ def read_exr(path: str | Path) -> Layers:
     """
     import OpenEXR
 
-    path = _existing(path, "read_exr")
+    path = files.existing(path, "read_exr")
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
             promised = len(file.parts)
-            for part in file.parts:
-                _check_exr_header(part.header, path)
+            _check_exr_headers([part.header for part in file.parts], path.stat().st_size)
         # The reader drops a part that it cannot decode and goes on; the headers say how many there should be.
         with OpenEXR.File(str(path), separate_channels=True) as file:
             if len(file.parts) != promised:
                 raise ValueError(f"only {len(file.parts)} of its {promised} parts can be decoded")
             return {p.header.get("name") or "": {n: _in_display(c, p.header) for n, c in p.channels.items()} for p in file.parts}
     except Exception as error:
-        raise ValueError(f"read_exr: {path} is damaged, truncated or not an EXR this reader knows: {error}") from None
+        raise ValueError(f"read_exr: {path} is damaged, truncated or not an EXR this reader knows: {files.reason(error)}") from None
 
 
 def write_exr(path: str | Path, channels: Mapping[str, Any]) -> None:
@@ -105,12 +101,6 @@ def write_exr(path: str | Path, channels: Mapping[str, Any]) -> None:
         raise OSError(f"write_exr: {path} could not be written: {error}") from None
 
 
-def _existing(path: str | Path, who: str) -> Path:
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"{who}: no such file: {path}")
-    return Path(path)
-
-
 def _writable(path: str | Path, who: str, legal: tuple[str, ...]) -> Path:
     path = Path(path)
     if path.suffix.lower() not in legal:
@@ -120,27 +110,29 @@ def _writable(path: str | Path, who: str, legal: tuple[str, ...]) -> Path:
     return path
 
 
-def _most_pixels(path: Path, bytes_per_pixel: int) -> int:
-    return max(_BELIEVED, path.stat().st_size * _BEST_RATIO) // max(bytes_per_pixel, 1)
-
-
 def _window(header: dict[str, Any], name: str) -> tuple[int, int, int, int]:
     """(left, top, width, height) in pixels."""
     (x0, y0), (x1, y1) = ([int(v) for v in corner] for corner in header[name])
     return x0, y0, x1 - x0 + 1, y1 - y0 + 1
 
 
-def _check_exr_header(header: dict[str, Any], path: Path) -> None:
-    if "deep" in str(header.get("type")).lower():
-        raise ValueError(f"part {header.get('name')!r} is deep, and only flat parts are read")
-    most = _most_pixels(path, 4 * len(header["channels"]))
-    for name in ("dataWindow", "displayWindow"):
-        _, _, width, height = _window(header, name)
-        if width < 1 or height < 1 or width * height > most:
-            raise ValueError(f"its {name} claims {width} x {height} pixels, which its {path.stat().st_size} bytes cannot hold")
-    thinned = [c.name for c in header["channels"] if (c.xSampling, c.ySampling) != (1, 1)]
-    if thinned:
-        raise ValueError(f"channels {thinned} are subsampled; write them at full resolution (as R, G, B)")
+def _check_exr_headers(headers: list[dict[str, Any]], size: int) -> None:
+    """Refuse parts that are not read, and those whose windows or tiles together ask for more memory than is believed."""
+    total = 0
+    for header in headers:
+        if "deep" in str(header.get("type")).lower():
+            raise ValueError(f"part {header.get('name')!r} is deep, and only flat parts are read")
+        thinned = [c.name for c in header["channels"] if (c.xSampling, c.ySampling) != (1, 1)]
+        if thinned:
+            raise ValueError(f"channels {thinned} are subsampled; write them at full resolution (as R, G, B)")
+        sides = {name: _window(header, name)[2:] for name in ("dataWindow", "displayWindow")}
+        if "tiles" in header:
+            sides["tile"] = header["tiles"].xSize, header["tiles"].ySize
+        name, (width, height) = max(sides.items(), key=lambda side: side[1][0] * side[1][1])
+        if min(min(pair) for pair in sides.values()) < 1:
+            raise ValueError(f"its windows are empty: {sides}")
+        total += 4 * width * height * len(header["channels"])
+        files.check_claim(total, size, f"its {name} claims {width} x {height} pixels of {len(header['channels'])} channels")
 
 
 def _in_display(channel: Any, header: dict[str, Any]) -> np.ndarray:
@@ -181,55 +173,23 @@ def _colour(layers: Layers, path: Path) -> np.ndarray:
 
 def _read_radiance(path: Path) -> np.ndarray:
     try:
-        return rgbe.decode(path.read_bytes(), _most_pixels(path, 12))
-    except ValueError as error:
-        raise ValueError(f"read_image: {path} is damaged, truncated or not a Radiance picture: {error}") from None
-
-
-def _read_pillow(path: Path) -> np.ndarray:
-    """Integer picture as float32 in [0, 1], turned upright by its EXIF orientation; grey stays one channel."""
-    from PIL import Image, ImageOps
-
-    try:
-        if _is_deep_png(path):
-            return _read_deep_png(path)
-        with Image.open(path) as file:
-            picture = ImageOps.exif_transpose(file)
-            deep = picture.mode.startswith("I")
-            if not deep and picture.mode not in ("L", "RGB", "RGBA"):
-                picture = picture.convert("RGBA" if picture.has_transparency_data else "RGB")
-            pixels = np.asarray(picture, np.float32) / np.float32(65535.0 if deep else 255.0)
-    except Exception as error:
-        raise ValueError(f"read_image: {path} is damaged, truncated or no picture that Pillow knows: {error}") from None
-    return pixels if pixels.ndim == 3 else pixels[..., None]
-
-
-def _is_deep_png(path: Path) -> bool:
-    """16-bit colour, which Pillow would cut to 8 bits without a word (16-bit grey it keeps)."""
-    with path.open("rb") as file:
-        head = file.read(26)
-    return head.startswith(b"\x89PNG\r\n\x1a\n") and len(head) == 26 and head[24] == 16 and head[25] != 0
-
-
-def _read_deep_png(path: Path) -> np.ndarray:
-    import kornia_rs  # kornia's own picture reader
-
-    read_any = getattr(kornia_rs, "io", kornia_rs).read_image
-    _, height = struct.unpack(">II", path.read_bytes()[16:24])
-    pixels = np.asarray(read_any(str(path)))
-    if pixels.dtype != np.uint16 or pixels.shape[0] != height:
-        raise ValueError("this version of kornia_rs reads no 16-bit colour PNG; save the picture as EXR")
-    return pixels.astype(np.float32) / np.float32(65535.0)
+        with path.open("rb") as file:
+            head = file.read(rgbe.LONGEST_HEADER)
+            data = head + file.read(rgbe.longest_body(head, path.stat().st_size))
+        return rgbe.decode(data)
+    except (ValueError, MemoryError) as error:
+        raise ValueError(f"read_image: {path} is damaged, truncated or not a Radiance picture: {files.reason(error)}") from None
 
 
 def _recode(image: Tensor, name: str) -> Tensor:
-    """Apply kornia's sRGB curve to the colour channels of ``[H, W, C]``."""
+    """Apply kornia's sRGB curve to the colour channels of ``[H, W, C]``, a few rows at a time."""
     import kornia.color
 
     count = 3 if image.shape[-1] >= 3 else 1
-    colour = image[..., :count].movedim(-1, 0)
-    recoded = getattr(kornia.color, name)(colour.expand(3, -1, -1))[:count].movedim(0, -1)
-    return torch.cat([recoded, image[..., count:]], -1).contiguous()
+    out = image.clone()
+    for rows in out[..., :count].split(_ROWS):
+        rows.copy_(getattr(kornia.color, name)(rows.movedim(-1, 0).expand(3, -1, -1))[:count].movedim(0, -1))
+    return out
 
 
 def _finite(pixels: Tensor, path: Path) -> Tensor:

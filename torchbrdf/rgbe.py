@@ -9,34 +9,49 @@ import re
 
 import numpy as np
 
+from . import files
+
 MAGIC = (b"#?RADIANCE", b"#?RGBE")
-_HEADER_LIMIT = 1 << 16  # bytes; a file without an end of header is not searched to its end
+_HEADER_LIMIT, _SIZE_LIMIT = 1 << 16, 80  # bytes; a file without an end of header is not searched to its end
+LONGEST_HEADER = _HEADER_LIMIT + _SIZE_LIMIT
 _SIZE = re.compile(rb"([+-])([XY])\s+(\d{1,9})\s+([+-])([XY])\s+(\d{1,9})\s*")
 _SHORTEST, _LONGEST = 8, 0x7FFF  # scanline widths for which the new run lengths are defined
 
 
-def decode(data: bytes, most_pixels: int) -> np.ndarray:
+def longest_body(head: bytes, size: int) -> int:
+    """The most bytes that the scanlines after a header can take; ``ValueError`` where a file of ``size`` bytes cannot hold them."""
+    _, (_, _, n0), (_, _, n1), _ = _header(head)
+    if n0 * n1 == 0:
+        raise ValueError(f"its header claims {n0} x {n1} pixels; a picture has at least one")
+    files.check_claim(12 * n0 * n1, size, f"its header claims {n0} x {n1} pixels")
+    return 8 * n0 * n1 + 4 * n0  # runs of one byte each: two bytes for one
+
+
+def decode(data: bytes) -> np.ndarray:
     """The picture in ``data`` as float32 ``[H, W, 3]``, top row first. ``ValueError`` says what is wrong with a damaged one."""
+    longest_body(data, len(data))
     exposure, (sign0, axis0, n0), (sign1, axis1, n1), start = _header(data)
-    if n0 * n1 == 0 or n0 * n1 > most_pixels:
-        raise ValueError(f"its header claims {n0} x {n1} pixels, which its {len(data)} bytes cannot hold")
     quads = _scanlines(data, start, n0, n1)
     quads = quads[:: 1 if (axis0, sign0) in ((b"Y", b"-"), (b"X", b"+")) else -1]
     quads = quads[:, :: 1 if (axis1, sign1) in ((b"Y", b"-"), (b"X", b"+")) else -1]
-    return _floats(quads if axis0 == b"Y" else quads.swapaxes(0, 1)) / np.float32(exposure)
+    image = _floats(quads if axis0 == b"Y" else quads.swapaxes(0, 1))
+    image /= np.float32(exposure)
+    return image
 
 
 def _floats(quads: np.ndarray) -> np.ndarray:
-    exponent = quads[..., 3:].astype(np.int32)
-    scale = np.where(exponent > 0, np.ldexp(np.float32(1.0), exponent - 136), np.float32(0.0))
-    return quads[..., :3].astype(np.float32) * scale.astype(np.float32)
+    exponents = np.arange(256)
+    scale = np.where(exponents > 0, np.ldexp(np.float32(1.0), exponents - 136), 0.0).astype(np.float32)
+    floats = quads[..., :3].astype(np.float32)
+    floats *= scale[quads[..., 3:]]
+    return floats
 
 
 def _header(data: bytes) -> tuple[float, tuple[bytes, bytes, int], tuple[bytes, bytes, int], int]:
     if not data.startswith(MAGIC):
         raise ValueError(f"it does not begin with {' or '.join(m.decode() for m in MAGIC)}")
     end = re.search(rb"\r?\n\r?\n", data[:_HEADER_LIMIT])
-    size_end = -1 if end is None else data.find(b"\n", end.end(), end.end() + 80)
+    size_end = -1 if end is None else data.find(b"\n", end.end(), end.end() + _SIZE_LIMIT)
     if end is None or size_end < 0:
         raise ValueError("its header has no end")
     exposure = _exposure(data[: end.start()].splitlines()[1:])

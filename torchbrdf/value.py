@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
+from . import files, saved
 from .interval import Interval
 
 T = TypeVar("T")
@@ -42,12 +43,18 @@ def _to_tensor(x: Any, where: str, kind: str) -> Tensor:
         t = x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=None if hasattr(x, "dtype") or kind != "float" else torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:
         raise TypeError(f"{where}: expected a number, list, array or tensor, found {type(x).__name__} ({error})") from None
-    found = "float" if t.dtype.is_floating_point else "bool" if t.dtype == torch.bool else "complex" if t.is_complex() else "int"
-    if found != kind:
+    if t.dtype not in _LEGAL[kind]:
         raise TypeError(f"{where}: expected a tensor of {kind}s, found {t.dtype}; convert it, for example with .to({_EXAMPLE[kind]})")
+    if t.layout != torch.strided:
+        raise TypeError(f"{where}: expected a dense tensor, found one of layout {t.layout}; convert it with .to_dense()")
     return t.reshape(1) if t.dim() == 0 else t
 
 
+_LEGAL = {
+    "float": (torch.float64, torch.float32, torch.bfloat16, torch.float16),
+    "int": (torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8),
+    "bool": (torch.bool,),
+}
 _EXAMPLE = {"float": "torch.float32", "int": "torch.int64", "bool": "torch.bool"}
 
 
@@ -73,6 +80,8 @@ class Value:
             tensor = _to_tensor(raw, where, spec.kind)
             if spec.size is not None and tensor.shape[-1] != spec.size:
                 raise ValueError(f"{where}: expected shape [..., {spec.size}], found {list(tensor.shape)}{_shape_hint(tensor, spec)}")
+            if not tensor.shape[-1]:
+                raise ValueError(f"{where}: expected shape [..., C] with one channel at least, found {list(tensor.shape)}")
             object.__setattr__(self, name, tensor)
         self.check_shapes()
 
@@ -86,6 +95,9 @@ class Value:
             _broadcast(*shapes.values())
         except RuntimeError:
             raise ValueError(f"{type(self).__name__}: batch shapes do not broadcast: {shapes}") from None
+
+    def check(self) -> None:
+        """Look at values that no range describes, such as a mesh's indices; nothing, unless a value says otherwise."""
 
     @classmethod
     def params(cls) -> dict[str, Param]:
@@ -218,9 +230,9 @@ def value(cls: type[T]) -> type[T]:
 
 def _known(name: Any) -> type[Value] | None:
     """The value of that name; those of the public face are imported when a file first speaks of them."""
-    if name not in VALUES and isinstance(name, str):
+    if isinstance(name, str) and name not in VALUES:
         getattr(importlib.import_module(__package__), name, None)
-    return VALUES.get(name)
+    return VALUES.get(name) if isinstance(name, str) else None
 
 
 def from_state(state: Any) -> Value:
@@ -228,7 +240,7 @@ def from_state(state: Any) -> Value:
     kind = _known(state.get("value")) if isinstance(state, dict) and isinstance(state.get("fields"), dict) else None
     if kind is None:
         found = state.get("value") if isinstance(state, dict) else type(state).__name__
-        raise ValueError(f"not a saved torchbrdf value: found {found!r}; import the module that defines it first, if it is your own")
+        raise ValueError(f"found {_short(found)} for a value; import the module that defines it first, if it is your own")
 
     def build(x: Any) -> Any:
         return from_state(x) if isinstance(x, dict) else tuple(build(v) for v in x) if isinstance(x, list) else x
@@ -239,15 +251,24 @@ def from_state(state: Any) -> Value:
         raise ValueError(f"saved {state['value']} does not fit this version: {error}") from None
 
 
+def _short(x: Any) -> str:
+    shown = repr(x) if isinstance(x, str | int | None) else type(x).__name__
+    return shown if len(shown) <= 60 else f"{shown[:60]}..."
+
+
 def load_value(path: str | Path) -> Value:
-    """Read a value that :meth:`Value.save` wrote. Runs no code from the file."""
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"load_value: no such file: {path}")
+    """Read a value that :meth:`Value.save` wrote. Runs no code from the file, and makes nothing but registered values.
+
+    A missing file raises ``FileNotFoundError``, anything else that is wrong with it ``ValueError``, each naming the file.
+    Shapes and dtypes are checked, ranges are not (:func:`validate` does that).
+    """
+    path = files.existing(path, "load_value")
     try:
-        state = torch.load(path, weights_only=True)
+        loaded = from_state(saved.read(path))
+        loaded.check()
+        return loaded
     except Exception as error:
-        raise ValueError(f"load_value: {path} is not a saved torchbrdf value ({type(error).__name__}: {error})") from None
-    return from_state(state)
+        raise ValueError(f"load_value: {path} is not a saved torchbrdf value: {files.reason(error)}") from None
 
 
 def validate(v: Value, _path: str = "") -> None:

@@ -116,6 +116,11 @@ class Scaled(Bsdf):
     inner: Bsdf
     factor: Tensor = param(Interval(0.0, typical=(0.1, 1.0)), None, "colour that multiplies the model")
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.inner, Bsdf):
+            raise TypeError(f"Scaled.inner: expected a BSDF such as tb.Lambert(albedo), found {type(self.inner).__name__}")
+        super().__post_init__()
+
     @property
     def lobes(self) -> tuple[Lobe, ...]:  # type: ignore[override]
         return self.inner.lobes

@@ -1,71 +1,74 @@
 """Reading mesh files through trimesh, without its repairs: faces and vertices keep their order."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from .. import files
+from .mesh_source import placed_geometries
+
+
+class Part(NamedTuple):
+    """One triangle mesh of a file, moved to its place."""
+
+    vertices: np.ndarray  # [V, 3]
+    faces: np.ndarray  # [F, 3]
+    normals: np.ndarray | None  # [V, 3]
+    uv: np.ndarray | None  # [V, 2]
 
 
 def read_mesh(path: Path) -> dict[str, Any]:
     """The fields of a :class:`Mesh` (numpy arrays) from a file; scenes are put together into one mesh."""
-    parts = _parts(path)
+    parts = _parts(files.existing(path, "load_mesh"))
     if not parts:
         raise ValueError(f"load_mesh: {path} holds no faces (a point cloud, or lines); export it as a triangle mesh")
     counts = [len(p.vertices) for p in parts]
     starts = np.cumsum([0, *counts[:-1]])
-    faces = np.concatenate([np.asarray(p.faces) + s for p, s in zip(parts, starts, strict=True)]).astype(np.int64)
-    fields: dict[str, Any] = {"vertices": np.concatenate([p.vertices for p in parts]).astype(np.float32), "faces": faces}
-    if all(map(_has_normals, parts)):
-        fields["normals"] = np.concatenate([p.vertex_normals for p in parts]).astype(np.float32)
-    uvs = [_uv(p) for p in parts]
-    if any(u is not None for u in uvs):
-        filled = [np.zeros((n, 2)) if u is None else u for u, n in zip(uvs, counts, strict=True)]
-        fields["uv"] = np.concatenate(filled).astype(np.float32)
+    faces = np.concatenate([p.faces + s for p, s in zip(parts, starts, strict=True)]).astype(np.int64)
+    fields: dict[str, Any] = {"vertices": _single([p.vertices for p in parts]), "faces": faces}
+    if all(p.normals is not None for p in parts):
+        fields["normals"] = _single([p.normals for p in parts])
+    if any(p.uv is not None for p in parts):
+        fields["uv"] = _single([np.zeros((n, 2)) if p.uv is None else p.uv for p, n in zip(parts, counts, strict=True)])
     if len(parts) > 1:
         fields["material"] = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])[:, None]
     return _join_seams(fields) if "uv" in fields else fields
 
 
-def _parts(path: Path) -> list[Any]:
+def _parts(path: Path) -> list[Part]:
     import trimesh
 
-    if not path.is_file():
-        raise FileNotFoundError(f"load_mesh: no such file: {path}")
-    try:
-        scene = trimesh.load_scene(path, process=False)
-    except Exception as error:
-        kinds = ", ".join(sorted(trimesh.available_formats()))
-        raise ValueError(f"load_mesh: cannot read {path} ({type(error).__name__}: {error}); formats that can be read: {kinds}") from None
-    order = list(scene.geometry)  # that of the file; the graph's own is not
-    nodes = sorted(scene.graph.nodes_geometry, key=lambda node: order.index(scene.graph[node][1]))
-    placed = (_placed(scene, node) for node in nodes)
-    return [p for p in placed if isinstance(p, trimesh.Trimesh) and len(p.faces)]
+    return [_part(m, where) for m, where in placed_geometries(path) if isinstance(m, trimesh.Trimesh) and len(m.faces)]
 
 
-def _placed(scene: Any, node: str) -> Any:
-    """A part of the scene moved to its place. (``Scene.dump`` would drop the normals that the file gave.)"""
-    transform, name = scene.graph[node]
-    part = scene.geometry[name]
-    return part if np.array_equal(transform, np.eye(4)) else _moved(part, transform)
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is found, and named, by Mesh.check
+def _part(mesh: Any, where: np.ndarray) -> Part:
+    vertices, faces, normals, uv = np.asarray(mesh.vertices), np.asarray(mesh.faces), _normals(mesh), _uv(mesh)
+    if not np.array_equal(where, np.eye(4)):
+        turn = where[:3, :3]
+        cofactors = np.cross(turn[[1, 2, 0]], turn[[2, 0, 1]])  # det times the inverse transpose, which turns normals
+        cofactors /= np.abs(cofactors).max() or 1.0  # a small part keeps normals that float32 can hold
+        mirrored = np.linalg.det(turn) < 0
+        vertices = vertices @ turn.T + where[:3, 3]
+        normals = None if normals is None else normals @ (-cofactors if mirrored else cofactors).T
+        faces = faces[:, ::-1] if mirrored else faces  # mirroring turns the winding
+    return Part(vertices, faces, normals, uv)
 
 
-def _moved(part: Any, transform: np.ndarray) -> Any:
-    given = part.vertex_normals if _has_normals(part) else None
-    moved = part.copy().apply_transform(transform)
-    if given is not None:  # normals turn with the inverse transpose, and mirroring turns the winding with them
-        turn = np.linalg.inv(transform[:3, :3]).T
-        moved.vertex_normals = given @ turn.T
-    return moved
+@np.errstate(over="ignore")
+def _single(parts: list[Any]) -> np.ndarray:
+    return np.concatenate(parts).astype(np.float32)
 
 
-def _has_normals(part: Any) -> bool:
-    """Whether the file gave vertex normals; asking for the attribute itself would make them up."""
-    return "vertex_normals" in getattr(part, "_cache", ())
+def _normals(part: Any) -> np.ndarray | None:
+    """The vertex normals that the file gave; asking for the attribute itself would make them up."""
+    return part.vertex_normals if "vertex_normals" in getattr(part, "_cache", ()) else None
 
 
 def _uv(part: Any) -> np.ndarray | None:
     uv = getattr(part.visual, "uv", None)
-    return uv if uv is not None and len(uv) == len(part.vertices) else None
+    return uv if uv is not None and np.shape(uv) == (len(part.vertices), 2) else None
 
 
 def _join_seams(fields: dict[str, Any]) -> dict[str, Any]:

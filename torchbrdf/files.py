@@ -1,0 +1,44 @@
+"""Files from outside: what they may claim, and how a reader says no.
+
+A header costs its writer nothing, and so does a run of zeros that unpacks to a terabyte. What a file claims to hold is
+therefore added up before anything is decoded: up to :data:`BELIEVED` bytes are believed of any file, and beyond that
+:data:`RATIO` times its own size. A reader holds up to four copies of what it decodes.
+
+Every refusal is a ``ValueError`` (a missing file is a ``FileNotFoundError``) of one line that names the file.
+"""
+
+from pathlib import Path
+
+BELIEVED = 1 << 30  # bytes; raise it (torchbrdf.files.BELIEVED = ...) for a file that you trust
+RATIO = 64  # what a format packs to less than this part of its size, beyond BELIEVED, is taken for a bomb
+
+
+def existing(path: str | Path, who: str) -> Path:
+    """The path of a file that is there."""
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"{who}: no such file: {path}")
+    return Path(path)
+
+
+def believable(size: int) -> int:
+    """How many decoded bytes are believed of a file of ``size`` bytes."""
+    return max(BELIEVED, RATIO * size)
+
+
+def check_claim(claimed: int, size: int, what: str) -> None:
+    """Raise ``ValueError`` if a file of ``size`` bytes claims, by ``what``, more decoded bytes than are believed of it."""
+    if claimed > believable(size):
+        raise ValueError(
+            f"{what}: {_amount(claimed)}, which its {size} bytes cannot hold (at most {_amount(believable(size))} is believed; "
+            "for a file that you trust, raise torchbrdf.files.BELIEVED)"
+        )
+
+
+def reason(error: BaseException) -> str:
+    """What an exception says, in one short line; a bare ``ValueError`` goes without its name."""
+    said = (str(error).strip().splitlines() or [""])[0][:300]
+    return said if said and type(error) is ValueError else ": ".join(filter(None, (type(error).__name__, said)))
+
+
+def _amount(count: int) -> str:
+    return f"{count / 2**30:.3g} GiB" if count >= 2**30 else f"{count / 2**20:.3g} MiB"
