@@ -61,6 +61,11 @@ def at_most_one(x: Tensor) -> Tensor:
     return x - torch.relu(x.detach() - 1.0)
 
 
+def at_least(x: Tensor, least: float) -> Tensor:
+    """``max(x, least)`` for a value that falls below only by rounding, as :func:`at_most_one`."""
+    return x + torch.relu(least - x.detach())
+
+
 def negligible(dtype: torch.dtype) -> float:
     """sqrt of :func:`tiny`: a reciprocal down to here has a derivative, ``-1/x^2``, that does not overflow."""
     return math.sqrt(tiny(dtype))
@@ -79,13 +84,14 @@ def reciprocal_or_zero(x: Tensor, least: float = 0.0) -> Tensor:
 def log1p_power(m: Tensor, exponent: Tensor) -> Tensor:
     """``(1 - m) ** exponent`` for a complement ``m = 1 - cosine``, accurate near m = 0 where the cosine itself has no digits left.
 
-    Value 0 for m > 1 (the far hemisphere); at m = 1 the cosine counts as eps/2, half the spacing of m there, and 0 ** 0 as 1.
-    Results below the smallest normal number are flushed to 0. Gradient: 0 wherever the value is 0 or flushed, and at m = 1.
+    Value 0 for m > 1 (the far hemisphere), and for m = 1 unless the exponent is 0: 0 ** 0 is 1. Results below the smallest
+    normal number are flushed to 0. Gradient: 0 wherever the value is 0 or flushed, and at m = 1.
     Range: exponent >= 0, m >= 0; relative error about (2 + \\|ln value\\|) * eps.
     """
-    last_below_one = 1.0 - 0.5 * torch.finfo(m.dtype).eps  # there the logarithm is still finite
-    log_value = exponent * torch.log1p(-m.clamp_max(last_below_one))
-    return flushed_exp(log_value) * (1.0 - step(m - 1.0))
+    half_ulp = 0.5 * torch.finfo(m.dtype).eps
+    log_value = exponent * torch.log1p(-m.clamp_max(1.0 - half_ulp))  # there the logarithm is still finite
+    black_beyond = 1.0 - half_ulp * step(exponent)
+    return flushed_exp(log_value) * (1.0 - step(m - black_beyond))
 
 
 def flushed_exp(log_value: Tensor) -> Tensor:
@@ -106,30 +112,62 @@ def cosine_power(cos: Tensor, sin2: Tensor, exponent: Tensor) -> Tensor:
     return torch.where((cos == 0) & (exponent > 0), 0.0, flushed_exp(log_value))
 
 
-def _square_error(x: Tensor, square: Tensor) -> Tensor:
-    """The rounding error of ``square = fl(x * x)``, exactly (Dekker 1971, by Veltkamp's splitting)."""
-    bits = 12 if x.dtype == torch.float32 else 27  # half of the significand, rounded up
-    carry = x * (2.0**bits + 1.0)
+def value_of(exact: Tensor, slopes_of: Tensor) -> Tensor:
+    """The value of one formula, to the last bit, with the derivatives of another that is finite and equal in exact arithmetic."""
+    return exact.detach() + (slopes_of - slopes_of.detach())
+
+
+def product_error(x: Tensor, y: Tensor, product: Tensor) -> Tensor:
+    """The rounding error of ``product = fl(x * y)``, exactly (Dekker 1971, by Veltkamp's splitting), below 1e34 in float32."""
+    (x_high, x_low), (y_high, y_low) = _halves(x), _halves(y)
+    return (((x_high * y_high - product) + x_high * y_low) + x_low * y_high) + x_low * y_low
+
+
+def _halves(x: Tensor) -> tuple[Tensor, Tensor]:
+    carry = x * (2.0 ** (12 if x.dtype == torch.float32 else 27) + 1.0)  # half of the significand, rounded up
     high = carry - (carry - x)
-    low = x - high
-    return ((high * high - square) + 2.0 * high * low) + low * low
+    return high, x - high
 
 
-def eta2_minus_sin2(cos_i: Tensor, eta: Tensor) -> Tensor:
-    """``eta^2 - (1 - cos_i^2)``, the square of Fresnel's ``g``, accurate to the last bits at the critical angle.
+def two_sum(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """``fl(x + y)`` and its rounding error, exactly (Knuth 1969)."""
+    total = x + y
+    part = total - x
+    return total, (x - (total - part)) + (y - part)
 
-    There the sum cancels and loses every digit, so the rounding errors of both squares and of both sums are added back
-    (compensated product and sum; Knuth 1969, Dekker 1971). Gradient: exactly (2 cos_i, 2 eta).
+
+def sum_of_products(*pairs: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """``sum x_j y_j`` as if in twice the precision, and what is left when it is rounded (Ogita, Rump & Oishi 2005, Dot2).
+
+    Without derivatives. Where a product is so large that splitting it overflows, the plain sum.
+    """
+    (x, y), *rest = [(x.detach(), y.detach()) for x, y in pairs]
+    plain = total = x * y
+    low = product_error(x, y, total)
+    for x, y in rest:
+        product = x * y
+        plain = plain + product
+        total, error = two_sum(total, product)
+        low = low + (error + product_error(x, y, product))
+    exact = total + low
+    split = exact.abs() < math.inf
+    return torch.where(split, exact, plain), torch.where(split, low - (exact - total), 0.0)
+
+
+def eta2_minus_sin2(cos_i: Tensor, eta: Tensor, k: Tensor | None = None, cos_low: Tensor | None = None) -> Tensor:
+    """``eta^2 - k^2 - (1 - cos_i^2)``, the square of Fresnel's ``g``, accurate to the last bit wherever it cancels.
+
+    At the critical angle ``(eta - 1)(eta + 1) + cos^2`` loses every digit, so it is taken in twice the precision; ``cos_low`` is
+    what the cosine had to leave off, where that is known. Gradient: exactly (2 cos_i, 2 eta, -2 k).
     """
     plain = (eta - 1.0) * (eta + 1.0) + cos_i * cos_i
     c, n = cos_i.detach().to(plain.dtype), eta.detach().to(plain.dtype)
-    n2, c2 = n * n, c * c
-    first = n2 - 1.0
-    rounding_first = (n2 - (first + 1.0)) + ((first + 1.0) - first - 1.0)
-    total = first + c2
-    part = total - first
-    rounding_total = (first - (total - part)) + (c2 - part)
-    exact = total + (rounding_first + rounding_total + _square_error(n, n2) + _square_error(c, c2))
-    # A huge eta would overflow the splitting; there nothing cancels and the plain form is already accurate.
-    exact = torch.where(torch.isfinite(exact), exact, plain.detach())
-    return plain + (exact - plain).detach()
+    one = torch.ones_like(n)
+    (less, less_low), (more, more_low) = two_sum(n, -one), two_sum(n, one)
+    pairs = [(less, more), (c, c), (less, more_low), (more, less_low)]
+    if k is not None:
+        plain = plain - k * k
+        pairs.insert(1, (k.to(plain.dtype), -k.to(plain.dtype)))
+    if cos_low is not None:
+        pairs.append((2.0 * c, cos_low))
+    return value_of(sum_of_products(*pairs)[0], plain)

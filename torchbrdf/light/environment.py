@@ -62,6 +62,9 @@ ORIENTATIONS = {
 }
 
 
+HEADROOM = 2.0**32  # nearer to a pole, the slope 1/distance, times radiance and resolution, could overflow: that is the pole
+
+
 @value
 class EnvironmentMap(Light):
     """Distant light given by a lat-long map of radiance ``texels [Hm, Wm, C]`` in a named orientation."""
@@ -121,13 +124,15 @@ class EnvironmentMap(Light):
             columns = self.to_world.to(d.x).unbind(1)
             d = Vec(*(vector.dot(Vec(*c.unbind(0)), d) for c in columns))
         right, up, forward = (sign * d[axis] for axis, sign in ORIENTATIONS[self.convention])
-        across2 = right * right + forward * forward
-        # Below the smallest normal number the derivative 1/across^2 would overflow: that is the pole.
-        off_pole = across2 > numerics.tiny(across2.dtype)
-        longitude = torch.atan2(torch.where(off_pole, right, 0.0), torch.where(off_pole, forward, 1.0))
-        across = numerics.safe_sqrt(across2)
-        somewhere = (across != 0) | (up != 0)  # atan2(0, 0), of a zero direction, has no derivative
-        colatitude = torch.atan2(torch.where(somewhere, across, 0.0), torch.where(somewhere, up, 1.0))
+        # The angle about the axis by both components over the larger one: near a pole their squares vanish, and it does not.
+        size = torch.maximum(right.detach().abs(), forward.detach().abs())
+        off_pole = size > HEADROOM / torch.finfo(size.dtype).max
+        grow = 1.0 / torch.where(off_pole, size, 1.0)
+        longitude = torch.atan2(torch.where(off_pole, right * grow, 0.0), torch.where(off_pole, forward * grow, 1.0))
+        r, f = (torch.where(off_pole, c * grow, 1.0) for c in (right, forward))
+        across = torch.where(off_pole, size * torch.sqrt(r * r + f * f), 0.0)
+        somewhere = off_pole | (up != 0)  # atan2(0, 0), of a zero direction, has no derivative
+        colatitude = torch.atan2(across, torch.where(somewhere, up, 1.0))
         return 0.5 + longitude / (2.0 * math.pi), colatitude / math.pi
 
 

@@ -17,6 +17,7 @@ act as at the nearest end, with gradient 0. Not smooth at: the critical angle, w
 """
 
 from abc import abstractmethod
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -44,18 +45,85 @@ def dielectric(cos_i: Tensor, eta: Tensor | float) -> Tensor:
     everywhere at eta = 1, grazing included.
     """
     (c, n), dtype = _tensors(cos_i, eta)
+    at = _interface(c, n)
+    r_s, r_p = (numerator / (denominator * denominator) for numerator, denominator in (at.perpendicular(), at.parallel()))
+    exact = numerics.at_most_one(0.5 * (r_s * r_s + r_p * r_p))
+    return numerics.rounded_back(at.elsewhere(exact, total=1.0), dtype)
+
+
+def amplitudes(cos_i: Tensor, eta: Tensor | float) -> tuple[Tensor, Tensor]:
+    """Amplitude ratios ``(r_s, r_p)`` of a dielectric interface, each in [-1, 1]; ``r_p = -r_s`` at normal incidence.
+
+    ``cos_i`` in [0, 1], ``eta`` > 0, broadcast. Under total internal reflection, where the ratios are complex, their modulus 1,
+    with gradient 0; 0 everywhere at eta = 1. Accurate to the last bits on both sides of Brewster's angle, where r_p changes sign.
+    """
+    (c, n), dtype = _tensors(cos_i, eta)
+    at = _interface(c, n)
+    (top_s, a), (top_p, b) = at.perpendicular(), at.parallel(every_digit=True)
+    r_s, r_p = (at.elsewhere(numerics.at_least(x, -1.0), total=1.0) for x in (-top_s / (a * a), top_p / (b * b)))
+    return numerics.rounded_back(r_s, dtype), numerics.rounded_back(r_p, dtype)
+
+
+def refraction_cosine(cos_i: Tensor, eta: Tensor | float) -> Tensor:
+    """Cosine in [0, 1] of the refracted ray, by Snell's law; 0 under total internal reflection, with gradient 0.
+
+    ``cos_i`` in [0, 1], ``eta`` > 0, broadcast. Accurate to the last bits at the critical angle, where the slope is infinite outside.
+    """
+    (c, n), dtype = _tensors(cos_i, eta)
+    at = _interface(c, n)
+    cos_t = torch.where(at.matched, at.cos, torch.where(at.partial, at.g / n, 0.0))
+    return numerics.rounded_back(numerics.at_most_one(cos_t), dtype)
+
+
+class _Interface(NamedTuple):
+    """What the amplitudes of a dielectric share. ``partial``: neither total reflection nor matched media; elsewhere g is 1."""
+
+    cos: Tensor
+    eta: Tensor
+    g: Tensor
+    partial: Tensor
+    matched: Tensor
+    grazing: Tensor
+
+    def perpendicular(self) -> tuple[Tensor, Tensor]:
+        """``(delta, A)`` of ``r_s = -delta / A^2``."""
+        delta, a = (self.eta - 1.0) * (self.eta + 1.0), self.cos + self.g
+        return torch.where(self.grazing, numerics.value_of(delta, (self.g - self.cos) * a), delta), a
+
+    def parallel(self, every_digit: bool = False) -> tuple[Tensor, Tensor]:
+        """``(delta (eta^2 c^2 - s^2), B)`` of ``r_p``, the quotient by ``B^2``; the difference compensated if asked for."""
+        c, n = self.cos, self.eta
+        delta, along = (n - 1.0) * (n + 1.0), n * n * c
+        b = along + self.g
+        s2 = (1.0 - c) * (1.0 + c)
+        difference = torch.where(n < 1.0, self.g * self.g - n * n * s2, along * c - s2)  # whichever subtracts the smaller terms
+        if every_digit:
+            difference = numerics.value_of(_brewster_difference(c, n), difference)
+        top = delta * difference
+        return torch.where(self.grazing, numerics.value_of(top, (along - self.g) * b), top), b
+
+    def elsewhere(self, result: Tensor, total: float) -> Tensor:
+        """The result of a partial reflection, ``total`` under total reflection, 0 between matched media."""
+        return torch.where(self.partial, result, torch.where(self.matched, 0.0, total))
+
+
+def _interface(c: Tensor, n: Tensor) -> _Interface:
     c = numerics.unit_interval(c)
     g2 = numerics.eta2_minus_sin2(c, n)
     matched = n == 1
     partial = (g2 > 0) & ~matched
     g = torch.sqrt(torch.where(partial, g2, 1.0))
-    delta = (n - 1.0) * (n + 1.0)
-    n2 = n * n
-    a, b = c + g, n2 * c + g
-    r_s = delta / (a * a)
-    r_p = delta * (n2 * c * c - (1.0 - c) * (1.0 + c)) / (b * b)
-    exact = numerics.at_most_one(0.5 * (r_s * r_s + r_p * r_p))
-    return numerics.rounded_back(torch.where(partial, exact, torch.where(matched, 0.0, 1.0)), dtype)
+    # Each numerator has two forms, equal in exact arithmetic. Derivatives by eta of delta/A^2 cancel for c << g, those by c of
+    # (g - c)/A for c ~ g; here each is used where it is accurate, for its derivatives: the value is that of the first.
+    return _Interface(c, n, g, partial, matched, 16.0 * c * c < g2)
+
+
+def _brewster_difference(c: Tensor, n: Tensor) -> Tensor:
+    """``eta^2 c^2 - (1 - c^2)`` in twice the precision: all digits cancel at Brewster's angle."""
+    c, n = torch.broadcast_tensors(c.detach(), n.detach().to(c.dtype))
+    x, one = n * c, torch.ones_like(c)
+    low = numerics.product_error(n, c, x)
+    return numerics.sum_of_products((one, -one), (x, x), (c, c), (x, 2.0 * low))[0]
 
 
 def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
@@ -67,15 +135,23 @@ def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
     c = numerics.unit_interval(c)
     vacuum = (n == 1) & (k == 0)
     s2 = (1.0 - c) * (1.0 + c)
-    # eta^2 - s^2 in whichever form adds the smaller terms: noble metals have eta << 1, where the first loses their digits
-    real = torch.where(n * n < 0.5, n * n - s2, (n - 1.0) * (n + 1.0) + c * c) - k * k
-    a, b = _refracted_root(real, n * k)
+    a, b = _refracted_root(numerics.eta2_minus_sin2(c, n, k), n * k)
     a = torch.where(vacuum, 1.0, a)
-    b2 = b * b
-    senkrecht = ((a - c) * (a - c) + b2) / ((a + c) * (a + c) + b2)
-    ac, b2c2 = a * c, b2 * c * c
-    quotient = ((ac - s2) * (ac - s2) + b2c2) / ((ac + s2) * (ac + s2) + b2c2)
+    senkrecht = _perpendicular(c, a, b, (n - 1.0) * (n + 1.0) - k * k, 2.0 * n * k)
+    ac, b2c2 = a * c, b * b * c * c
+    below = (ac + s2) * (ac + s2) + b2c2
+    nothing = below == 0  # eta so small that its square underflows, at normal incidence
+    quotient = torch.where(nothing, 1.0, ((ac - s2) * (ac - s2) + b2c2) / torch.where(nothing, 1.0, below))
     return numerics.rounded_back(torch.where(vacuum, 0.0, numerics.at_most_one(0.5 * senkrecht * (1.0 + quotient))), dtype)
+
+
+def _perpendicular(c: Tensor, a: Tensor, b: Tensor, real: Tensor, imag: Tensor) -> Tensor:
+    r"""R_s = \|z - c\|^2 / \|z + c\|^2 for z = a + ib, of which z^2 - c^2 = real + i imag is known without cancellation."""
+    scale = 1.0 / torch.maximum(torch.maximum(a, b), c).detach()  # grazing, between nearly equal media, the squares underflow
+    c, a, b, real, imag = c * scale, a * scale, b * scale, real * scale * scale, imag * scale * scale
+    below = (a + c) * (a + c) + b * b
+    above = torch.where(4.0 * c < 1.0, ((a - c) * (a - c) + b * b) * below, real * real + imag * imag)
+    return above / (below * below)
 
 
 def _refracted_root(real: Tensor, half_imag: Tensor) -> tuple[Tensor, Tensor]:
