@@ -1,6 +1,5 @@
 """Scene files: a user's own mesh, views, photographs and lights, in JSON. The format is described in docs/recover.md."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,67 +8,108 @@ from torch import Tensor
 
 import torchbrdf as tb
 
+from .entry import Entry, read
 from .problem import Lights, Problem, View
 
 BORDER = 2  # pixels on each side of a 5x5 neighbourhood
+PARAMETERS = ("albedo", "specular", "exponent", "eta")
+LIGHTS: dict[str, tuple[type[tb.Light], dict[str, int | None]]] = {
+    "point": (tb.PointLight, {"position": 3, "intensity": None}),
+    "directional": (tb.DirectionalLight, {"direction": 3, "irradiance": None}),
+}
 
 
 def load(path: Path, name: str, shadow: str = "auto") -> Problem:
     """Read a scene file and the images called ``name`` in it, and decide which pixels count.
 
     With shadows, a pixel counts for a light if its 5x5 neighbourhood lies in the mask and is wholly lit; with
-    ``shadow="off"`` every pixel of the mask counts for every light.
+    ``shadow="off"`` every pixel of the mask counts for every light. What is wrong with the file is one ``ValueError`` (of a file
+    that is missing, ``FileNotFoundError``) that says where.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"--scene: no such file: {path}")
-    scene = json.loads(path.read_text())
+    scene = read(path)
     folder = path.parent
-    mesh = tb.load_mesh(folder / scene["mesh"]).to(torch.float64)
-    lights = Lights(*(_light(entry, scene) for entry in scene["lights"]))
-    views = [_view(entry, scene, folder, name, mesh, lights, shadow) for entry in scene.get("views", [scene])]
-    material = scene.get("materials", {}).get(name, {})
-    truth = {k: torch.tensor(v, dtype=torch.float64) for k, v in material.items() if k in ("albedo", "specular", "exponent", "eta")}
-    return Problem(views, lights, truth, {"albedo": 0.5, "specular": 0.5, "exponent": 20.0, "eta": 1.3})
+    mesh = tb.load_mesh(folder / scene.get("mesh", str)).to(torch.float64)
+    lights = Lights(*(_light(entry, k, scene) for k, entry in enumerate(scene.get("lights", list))))
+    views = [Entry(v, f"{path}: views[{k}]") for k, v in enumerate(scene.get("views", list))] if "views" in scene else [scene]
+    if not lights.entries or not views:
+        raise ValueError(f"{path}: {'views' if lights.entries else 'lights'}: found none; give one at least")
+    truth = _truth(scene.entry("materials"), name) if "materials" in scene else {}
+    start = {"albedo": 0.5, "specular": 0.5, "exponent": 20.0, "eta": 1.3}
+    return Problem([_view(view, folder, name, mesh, lights, shadow) for view in views], lights, truth, start)
 
 
-def _light(entry: Any, scene: dict[str, Any]) -> Any:
+def _truth(materials: Entry, name: str) -> dict[str, Tensor]:
+    material = materials.entry(name) if name in materials else None
+    return {} if material is None else {k: material.numbers(k) for k in PARAMETERS if k in material}
+
+
+def _light(given: Any, k: int, scene: Entry) -> Any:
     """``[x, y, z]``, or a dictionary with ``type``, its parameters, and ``learn``: the names of those to be learned."""
-    if isinstance(entry, list):
-        entry = {"type": "point", "position": entry, "intensity": scene["intensity"]}
-    kinds = {"point": (tb.PointLight, ("position", "intensity")), "directional": (tb.DirectionalLight, ("direction", "irradiance"))}
-    if entry.get("type", "point") not in kinds:
-        raise ValueError(f"lights: unknown type {entry['type']!r}; legal are {sorted(kinds)}")
-    kind, names = kinds[entry.get("type", "point")]
-    values = {n: torch.tensor(entry[n], dtype=torch.float64).reshape(-1) for n in names}
-    learned = entry.get("learn", [])
-    if not learned:
-        return kind(**values)
-    return tb.nn.Material(kind, **{n: tb.nn.Learned(v) if n in learned else tb.nn.Constant(v) for n, v in values.items()})
+    if isinstance(given, list):
+        given = {"type": "point", "position": given, "intensity": scene.found.get("intensity")}
+    entry = Entry(given, f"{scene.where}: lights[{k}]")
+    named = entry.get("type", str) if "type" in entry else "point"
+    if named not in LIGHTS:
+        raise ValueError(f"{scene.where}: lights: unknown type {named!r}; legal are {sorted(LIGHTS)}")
+    kind, sizes = LIGHTS[named]
+    values = {n: entry.numbers(n, *() if size is None else (size,)).reshape(-1) for n, size in sizes.items()}
+    learned = entry.texts("learn") if "learn" in entry else []
+    if set(learned) - set(values):
+        raise ValueError(f"{entry.where}: learn: found {learned}, legal are {sorted(values)}")
+    try:
+        if not learned:
+            light = kind(**values)
+            tb.validate(light)
+            return light
+        return tb.nn.Material(kind, **{n: tb.nn.Learned(v) if n in learned else tb.nn.Constant(v) for n, v in values.items()})
+    except ValueError as error:
+        raise entry.wrong(error) from None
 
 
-def _camera(view: dict[str, Any]) -> tb.Camera:
-    if "K" in view:
-        return tb.Camera.from_matrix(view["K"], view["world_to_camera"], tuple(view["size"]), convention=view.get("convention", "opencv"))
-    size = view["size"] if "size" in view else [view["res"]] * 2
-    return tb.Camera.look_at(view["eye"], view["target"], view["up"], fov_y=view["fov_y_deg"], size=tuple(size))
+def _camera(view: Entry) -> tb.Camera:
+    size = view.numbers("size", 2).tolist() if "size" in view else [view.get("res", float)] * 2
+    try:
+        if "K" in view:
+            convention = view.get("convention", str) if "convention" in view else "opencv"
+            return tb.Camera.from_matrix(view.numbers("K", 3, 3), view.numbers("world_to_camera"), tuple(size), convention=convention)
+        eye, target, up = (view.numbers(n, 3) for n in ("eye", "target", "up"))
+        return tb.Camera.look_at(eye, target, up, fov_y=view.get("fov_y_deg", float), size=tuple(size))
+    except ValueError as error:
+        raise view.wrong(error) from None
 
 
-def _view(view: dict[str, Any], scene: dict[str, Any], folder: Path, name: str, mesh: tb.Mesh, lights: Lights, shadow: str) -> View:
-    g = tb.GBuffer.from_mesh(mesh, _camera(view).to(torch.float64))
-    files = view["images"][name] if isinstance(view["images"], dict) else view["images"]
+def _view(view: Entry, folder: Path, name: str, mesh: tb.Mesh, lights: Lights, shadow: str) -> View:
+    several = isinstance(view.found.get("images"), dict)
+    files = view.entry("images").texts(name) if several else view.texts("images")
+    if len(files) != len(lights.entries):
+        raise ValueError(
+            f"{view.where}: images: {len(files)} in a view of a scene with {len(lights.entries)} lights; "
+            "give one image per light, in their order"
+        )
+    camera = _camera(view)
     images, unsaturated = zip(*(_photograph(folder / f) for f in files), strict=True)
-    known = lights(g)
-    if len(images) != len(known):
-        raise ValueError(f"images: {len(images)} in a view of a scene with {len(known)} lights; give one image per light, in their order")
+    for file, image in zip(files, images, strict=True):
+        _check_picture(view, file, image, camera, images[0].shape[-1])
+    g = tb.GBuffer.from_mesh(mesh, camera.to(torch.float64))  # of a size that there are pictures of: a file may make one up
     mask = g.valid
     if "mask" in view:
-        mask = mask & (tb.read_image(folder / view["mask"], srgb=False)[..., :1] > 0.5)
+        file = view.get("mask", str)
+        painted = tb.read_image(folder / file, srgb=False)[..., :1]
+        _check_picture(view, file, painted, camera, 1)
+        mask = mask & (painted > 0.5)
     weights = mask & torch.stack(unsaturated)
     visibility = None
     if shadow != "off":
+        known = lights(g)
         visibility = tb.visibility(g, known, mesh)
         weights = weights & eroded(mask) & eroded((visibility > 0) & _faces_light(g, known))
     return View(g, torch.stack(images), weights, visibility)
+
+
+def _check_picture(view: Entry, file: str, image: Tensor, camera: tb.Camera, channels: int) -> None:
+    expected = [*camera.size, channels]
+    if list(image.shape) != expected:
+        raise ValueError(f"{view.where}: {file}: expected {expected} (height, width, channels), found {list(image.shape)}")
 
 
 def _photograph(path: Path) -> tuple[Tensor, Tensor]:

@@ -38,6 +38,7 @@ _CHANNELS = {
     **{"uv": "UV", "depth": "T", "mask": "", "triangle": "", "material": ""},
 }
 _LARGEST_ID = 1 << 24  # float32 holds every whole number up to here
+_NO_ID = {"triangle": -1, "material": 0}  # where there is no surface; the least id there is
 
 
 def save_gbuffer(g: GBuffer, path: str | Path) -> None:
@@ -45,7 +46,7 @@ def save_gbuffer(g: GBuffer, path: str | Path) -> None:
     g = g.replace(mask=g.valid)
     if len(g.batch_shape) != 2:
         raise ValueError(f"save: {path}: expected a G-buffer [H, W], found {list(g.batch_shape)}; index it and save one view a file")
-    for field in ("triangle", "material"):
+    for field in _NO_ID:
         ids = getattr(g, field)
         if ids is not None and int(ids.abs().max()) > _LARGEST_ID:
             raise ValueError(
@@ -94,7 +95,7 @@ def _own(flat: Mapping[str, Any]) -> dict[str, Tensor]:
 
 
 def _typed(field: str, x: Tensor) -> Tensor:
-    return x != 0 if field == "mask" else x.round().long() if field in ("triangle", "material") else x
+    return x > 0 if field == "mask" else _ids(field, x) if field in _NO_ID else x
 
 
 def _foreign(passes: Mapping[str, Pass], camera: Camera | None, blender: bool) -> tuple[dict[str, Tensor], list[str]]:
@@ -112,10 +113,8 @@ def _foreign(passes: Mapping[str, Pass], camera: Camera | None, blender: bool) -
         fields["uv"] = vector.stack([u, 1.0 - v])
         notes.append("v turned upwards")
     _place(fields, passes, camera, notes)
-    for field in ("triangle", "material"):
-        if field in fields:
-            fields[field] = _ids(fields[field], mask, -1 if field == "triangle" else 0)
-    fields = {f: x if f in ("triangle", "material") else torch.where(mask, x, 0.0) for f, x in fields.items()}
+    ids = {f: torch.where(mask, _ids(f, fields[f]), none) for f, none in _NO_ID.items() if f in fields}
+    fields = {f: torch.where(mask, x, 0.0) for f, x in fields.items()} | ids
     fields["mask"] = mask
     _add_view(fields, camera, notes)
     return fields, notes
@@ -187,9 +186,10 @@ def _rays(camera: Camera, size: torch.Size) -> tuple[Tensor, Tensor, Tensor]:
     return origin, direction, cosine.unsqueeze(-1)
 
 
-def _ids(x: Tensor, mask: Tensor, none: int) -> Tensor:
-    """Whole ids; ``none`` where there is no surface and where an averaged id, between two others, means nothing."""
-    return torch.where(mask & (x == x.round()), x, float(none)).long()
+def _ids(field: str, x: Tensor) -> Tensor:
+    """Ids as whole numbers; none where a number means no id: averaged, between two others, or damaged."""
+    none = _NO_ID[field]
+    return torch.where((x == x.round()) & (x >= none) & (x <= _LARGEST_ID), x, float(none)).long()
 
 
 def _add_view(fields: dict[str, Tensor], camera: Camera | None, notes: list[str]) -> None:
