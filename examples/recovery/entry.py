@@ -1,13 +1,14 @@
 """What stands in a JSON file, asked for by name: whatever is missing or of the wrong kind is named with the place it belongs to."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-KINDS = {dict: "an object {...}", list: "a list [...]", str: "a text", float: "a number"}
+KINDS = {dict: "an object {...}", list: "a list [...]", str: "a text", float: "a finite number"}
 
 
 def read(path: Path) -> "Entry":
@@ -18,14 +19,14 @@ def read(path: Path) -> "Entry":
         found = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is no scene file, for it is not JSON ({error})") from None
-    return Entry(found, str(path))
+    return Entry(found, str(path), path.parent)
 
 
 class Entry:
     """An object of the file, and ``where`` it stands."""
 
-    def __init__(self, found: Any, where: str) -> None:
-        self.where = where
+    def __init__(self, found: Any, where: str, folder: Path) -> None:
+        self.where, self.folder = where, folder
         self.found: dict[str, Any] = self.checked(found, dict)
 
     def wrong(self, error: Exception) -> ValueError:
@@ -33,10 +34,10 @@ class Entry:
         return ValueError(str(error) if str(error).startswith(self.where) else f"{self.where}: {error}")
 
     def checked(self, found: Any, kind: type, name: str = "") -> Any:
-        """``found`` if it is of this kind (whole numbers are numbers)."""
-        at = f"{self.where}: {name}" if name else self.where
-        if not isinstance(found, (int, float) if kind is float else kind) or isinstance(found, bool):
-            raise ValueError(f"{at}: expected {KINDS[kind]}, found {_short(found)}")
+        """``found`` if it is of this kind (whole numbers are numbers, and numbers are finite)."""
+        fits = isinstance(found, (int, float) if kind is float else kind) and not isinstance(found, bool)
+        if not fits or (kind is float and not abs(found) <= sys.float_info.max):
+            raise ValueError(f"{self.where}{f': {name}' if name else ''}: expected {KINDS[kind]}, found {_short(found)}")
         return found
 
     def __contains__(self, name: str) -> bool:
@@ -50,7 +51,14 @@ class Entry:
 
     def entry(self, name: str) -> "Entry":
         """The object under a name."""
-        return Entry(self.get(name, dict), f"{self.where}: {name}")
+        return Entry(self.get(name, dict), f"{self.where}: {name}", self.folder)
+
+    def file(self, file: str, name: str) -> Path:
+        """A file that is named here, beside the scene file or with its whole path."""
+        path = self.folder / file
+        if not path.is_file():
+            raise FileNotFoundError(f"{self.where}: {name}: no such file: {path}")
+        return path
 
     def texts(self, name: str) -> list[str]:
         """The list of texts under a name."""

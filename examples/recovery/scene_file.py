@@ -27,15 +27,14 @@ def load(path: Path, name: str, shadow: str = "auto") -> Problem:
     that is missing, ``FileNotFoundError``) that says where.
     """
     scene = read(path)
-    folder = path.parent
-    mesh = tb.load_mesh(folder / scene.get("mesh", str)).to(torch.float64)
+    mesh = tb.load_mesh(scene.file(scene.get("mesh", str), "mesh")).to(torch.float64)
     lights = Lights(*(_light(entry, k, scene) for k, entry in enumerate(scene.get("lights", list))))
-    views = [Entry(v, f"{path}: views[{k}]") for k, v in enumerate(scene.get("views", list))] if "views" in scene else [scene]
+    views = [Entry(v, f"{path}: views[{k}]", path.parent) for k, v in enumerate(scene.get("views", list))] if "views" in scene else [scene]
     if not lights.entries or not views:
         raise ValueError(f"{path}: {'views' if lights.entries else 'lights'}: found none; give one at least")
     truth = _truth(scene.entry("materials"), name) if "materials" in scene else {}
     start = {"albedo": 0.5, "specular": 0.5, "exponent": 20.0, "eta": 1.3}
-    return Problem([_view(view, folder, name, mesh, lights, shadow) for view in views], lights, truth, start)
+    return Problem([_view(view, name, mesh, lights, shadow) for view in views], lights, truth, start)
 
 
 def _truth(materials: Entry, name: str) -> dict[str, Tensor]:
@@ -47,7 +46,7 @@ def _light(given: Any, k: int, scene: Entry) -> Any:
     """``[x, y, z]``, or a dictionary with ``type``, its parameters, and ``learn``: the names of those to be learned."""
     if isinstance(given, list):
         given = {"type": "point", "position": given, "intensity": scene.found.get("intensity")}
-    entry = Entry(given, f"{scene.where}: lights[{k}]")
+    entry = Entry(given, f"{scene.where}: lights[{k}]", scene.folder)
     named = entry.get("type", str) if "type" in entry else "point"
     if named not in LIGHTS:
         raise ValueError(f"{scene.where}: lights: unknown type {named!r}; legal are {sorted(LIGHTS)}")
@@ -57,9 +56,9 @@ def _light(given: Any, k: int, scene: Entry) -> Any:
     if set(learned) - set(values):
         raise ValueError(f"{entry.where}: learn: found {learned}, legal are {sorted(values)}")
     try:
+        light = kind(**values)
+        tb.validate(light)
         if not learned:
-            light = kind(**values)
-            tb.validate(light)
             return light
         return tb.nn.Material(kind, **{n: tb.nn.Learned(v) if n in learned else tb.nn.Constant(v) for n, v in values.items()})
     except ValueError as error:
@@ -78,7 +77,7 @@ def _camera(view: Entry) -> tb.Camera:
         raise view.wrong(error) from None
 
 
-def _view(view: Entry, folder: Path, name: str, mesh: tb.Mesh, lights: Lights, shadow: str) -> View:
+def _view(view: Entry, name: str, mesh: tb.Mesh, lights: Lights, shadow: str) -> View:
     several = isinstance(view.found.get("images"), dict)
     files = view.entry("images").texts(name) if several else view.texts("images")
     if len(files) != len(lights.entries):
@@ -87,14 +86,14 @@ def _view(view: Entry, folder: Path, name: str, mesh: tb.Mesh, lights: Lights, s
             "give one image per light, in their order"
         )
     camera = _camera(view)
-    images, unsaturated = zip(*(_photograph(folder / f) for f in files), strict=True)
+    images, unsaturated = zip(*(_photograph(view.file(f, "images")) for f in files), strict=True)
     for file, image in zip(files, images, strict=True):
         _check_picture(view, file, image, camera, images[0].shape[-1])
     g = tb.GBuffer.from_mesh(mesh, camera.to(torch.float64))  # of a size that there are pictures of: a file may make one up
     mask = g.valid
     if "mask" in view:
         file = view.get("mask", str)
-        painted = tb.read_image(folder / file, srgb=False)[..., :1]
+        painted = tb.read_image(view.file(file, "mask"), srgb=False)[..., :1]
         _check_picture(view, file, painted, camera, 1)
         mask = mask & (painted > 0.5)
     weights = mask & torch.stack(unsaturated)
