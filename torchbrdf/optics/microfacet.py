@@ -45,6 +45,8 @@ from .smith import (
     ggx_g2,
     ggx_lambda,
     ggx_visibility,
+    power_of_two_below,
+    projected_roughness,
     working,
 )
 
@@ -81,13 +83,12 @@ def ggx_d(cos_h: Tensor, sin2_h: Tensor | float, alpha: Tensor | float) -> Tenso
 def ggx_d_anisotropic(x: Tensor, y: Tensor, z: Tensor, alpha_x: Tensor | float, alpha_y: Tensor | float) -> Tensor:
     """GGX distribution of normals, in 1/sr: ``[...]`` from the components of the half vector along tangent, bitangent, normal.
 
-    The vector may have any length, tiny and huge included. 0 with gradient 0 for ``z`` <= 0, the zero vector included.
+    The vector may have any length, tiny and huge included (derivatives by it grow as 1 / length, the second as its square, and
+    overflow with that). 0 with gradient 0 for ``z`` <= 0, the zero vector included.
     """
     (x, y, z, alpha_x, alpha_y), dtype = working(x, y, z, alpha_x, alpha_y)
-    x, y, z = _moderate(x, y, z)
-    lit = step(z)
-    x2, y2, z2 = x * x, y * y, z * z
-    ratio = (x2 + y2 + z2) / (x2 / (alpha_x * alpha_x) + y2 / (alpha_y * alpha_y) + z2 + (1.0 - lit))
+    x2, y2, z2, lit = _squares(x, y, z)
+    ratio = (x2 + y2 + z2) / (x2 / (alpha_x * alpha_x) + y2 / (alpha_y * alpha_y) + z2)
     return numerics.rounded_back(ratio * ratio / (math.pi * (alpha_x * alpha_y)) * lit, dtype)
 
 
@@ -104,23 +105,10 @@ def beckmann_d(cos_h: Tensor, sin2_h: Tensor | float, alpha: Tensor | float) -> 
 def beckmann_d_anisotropic(x: Tensor, y: Tensor, z: Tensor, alpha_x: Tensor | float, alpha_y: Tensor | float) -> Tensor:
     """Beckmann distribution of normals, in 1/sr; arguments as :func:`ggx_d_anisotropic`, edges as :func:`beckmann_d`."""
     (x, y, z, alpha_x, alpha_y), dtype = working(x, y, z, alpha_x, alpha_y)
-    x, y, z = _moderate(x, y, z)
-    lit = step(z)
-    x2, y2, z2 = x * x, y * y, z * z
-    cos2 = z2 / (x2 + y2 + z2 + (1.0 - lit))
+    x2, y2, z2, lit = _squares(x, y, z)
+    cos2 = z2 / (x2 + y2 + z2)
     slope2 = x2 / (alpha_x * alpha_x) + y2 / (alpha_y * alpha_y)
     return numerics.rounded_back(_gaussian(slope2, z2, torch.sqrt(alpha_x * alpha_y) * cos2, lit), dtype)
-
-
-def projected_roughness(x: Tensor, y: Tensor, alpha_x: Tensor | float, alpha_y: Tensor | float) -> Tensor:
-    """``sqrt((alpha_x x)^2 + (alpha_y y)^2)``: the ``alpha_sin`` of Smith's functions for a unit direction (x, y, z), ``[...]``.
-
-    No overflow or underflow midway. Gradient: the true one, of length up to max(alpha); 0 at x = y = 0, the tip of a cone.
-    """
-    (x, y, alpha_x, alpha_y), dtype = working(x, y, alpha_x, alpha_y)
-    u, v = alpha_x * x, alpha_y * y
-    off = step(u.abs() + v.abs())
-    return numerics.rounded_back(torch.hypot(u + (1.0 - off), v) * off, dtype)
 
 
 def _gaussian(numerator: Tensor, denominator: Tensor, root: Tensor, lit: Tensor) -> Tensor:
@@ -134,10 +122,13 @@ def _gaussian(numerator: Tensor, denominator: Tensor, root: Tensor, lit: Tensor)
     return root_of_d * root_of_d * (1.0 / math.pi)
 
 
-def _moderate(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The vector, times a power of two only where its squares, or theirs over alpha^2, could overflow or underflow."""
-    largest = torch.maximum(torch.maximum(x.abs(), y.abs()), z.abs()).detach()
-    reach = 8 if x.dtype == torch.float64 else 1  # its exponents go eight times as far as those of float32
-    low, high, up = 2.0 ** (-37 * reach), 2.0 ** (49 * reach), 2.0 ** (86 * reach)
-    scale = torch.where(largest < low, up, torch.where(largest > high, 1.0 / up, torch.ones_like(largest)))
-    return x * scale, y * scale, z * scale
+def _squares(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Squares of the components, and 1.0; where z <= 0 instead those of the normal, and 0.0.
+
+    The largest component is brought to [1, 2), without rounding: fourth powers, and 1e4 times more, are in range then.
+    """
+    lit = step(z)
+    x, y, z = x * lit, y * lit, z * lit + (1.0 - lit)
+    scale = power_of_two_below(torch.maximum(torch.maximum(x.abs(), y.abs()), z))
+    x, y, z = x / scale, y / scale, z / scale
+    return x * x, y * y, z * z, lit

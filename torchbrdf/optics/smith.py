@@ -26,6 +26,25 @@ def working(*xs: Tensor | float) -> tuple[list[Tensor], torch.dtype]:
     return made, dtype
 
 
+def projected_roughness(x: Tensor, y: Tensor, alpha_x: Tensor | float, alpha_y: Tensor | float) -> Tensor:
+    """``sqrt((alpha_x x)^2 + (alpha_y y)^2)``: the ``alpha_sin`` of Smith's functions for a unit direction (x, y, z), ``[...]``.
+
+    No overflow or underflow midway. Gradient: the true one, of length up to max(alpha); 0 at x = y = 0, the tip of a cone.
+    """
+    (x, y, alpha_x, alpha_y), dtype = working(x, y, alpha_x, alpha_y)
+    scale = power_of_two_below(torch.maximum(x.abs(), y.abs()))
+    u, v = alpha_x * (x / scale), alpha_y * (y / scale)
+    off = step(u.abs() + v.abs())
+    k, larger, _ = _smaller_over_larger(u + (1.0 - off), v)
+    return numerics.rounded_back(larger.abs() * torch.sqrt(1.0 + k * k) * (scale * off), dtype)
+
+
+def power_of_two_below(x: Tensor) -> Tensor:
+    """The power of two at most ``x`` >= 0, a constant by which to divide without rounding; a normal number always."""
+    lowest = math.log2(numerics.tiny(x.dtype))
+    return torch.exp2(torch.floor(torch.log2(x.detach())).clamp(lowest, -lowest))
+
+
 def ggx_lambda(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     """Smith's Lambda of GGX, ``(sqrt(1 + (alpha_sin / cos)^2) - 1) / 2`` >= 0; ``cos``, ``alpha_sin`` >= 0 ``[...]``, broadcast.
 
@@ -33,9 +52,10 @@ def ggx_lambda(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     """
     (cos, a), dtype = working(cos, alpha_sin)
     c = _lit(cos)
-    _, root, grazing = _smaller_over_larger(c, a)
+    k, larger, _ = _smaller_over_larger(c, a)
+    root = torch.sqrt(1.0 + k * k)
     slope = a / c
-    usual = 0.5 * slope * (a / (c + torch.lerp(c, a, grazing) * root))
+    usual = 0.5 * slope * (a / (c + larger * root))
     # far above 1, Lambda is almost linear in a: written so, its curvature is not lost between terms that cancel
     value = torch.where(slope > 4.0, 0.5 * (slope * root - 1.0), usual)
     return numerics.rounded_back(value.masked_fill(cos <= 0, math.inf), dtype)
@@ -56,8 +76,8 @@ def ggx_g2(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, alpha_sin_
     0 with gradient 0 unless both cosines are > 0.
     """
     (ci, ai, co, ao), dtype = working(cos_i, alpha_sin_i, cos_o, alpha_sin_o)
-    value = _correlated(_ggx_x(_lit(ci), ai), _ggx_x(_lit(co), ao))
-    return numerics.rounded_back(value * (step(ci) * step(co)), dtype)
+    i, o, lit = _both_lit(ci, co)
+    return numerics.rounded_back(_correlated(_ggx_x(i, ai), _ggx_x(o, ao)) * lit, dtype)
 
 
 def ggx_visibility(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, alpha_sin_o: Tensor | float) -> Tensor:
@@ -66,10 +86,11 @@ def ggx_visibility(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, al
     0 with gradient 0 unless both cosines are > 0; it jumps there. inf where it overflows (both cosines about 1e-38).
     """
     (ci, ai, co, ao), dtype = working(cos_i, alpha_sin_i, cos_o, alpha_sin_o)
-    i, o = _lit(ci), _lit(co)
-    unit = _constant_unit(torch.maximum(i, o))
-    value = (0.5 / unit) / ((o / unit) * torch.hypot(i, ai) + (i / unit) * torch.hypot(o, ao))
-    return numerics.rounded_back(value * (step(ci) * step(co)), dtype)
+    i, o, lit = _both_lit(ci, co)
+    ri, ro = torch.hypot(i, ai), torch.hypot(o, ao)
+    unit = power_of_two_below(o * ri + i * ro)  # so that no cube of a small denominator overflows in second derivatives
+    value = (0.5 / unit) / ((o / unit) * ri + (i / unit) * ro)
+    return numerics.rounded_back(value * lit, dtype)
 
 
 def beckmann_lambda(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
@@ -79,8 +100,8 @@ def beckmann_lambda(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     below the smallest normal number (nu > 8.8 in float32), ``alpha_sin = 0`` included.
     """
     (cos, a), dtype = working(cos, alpha_sin)
-    nu, w = _beckmann_nu_w(_lit(cos), a)
-    value = functional.threshold(w / (2.0 * nu), numerics.tiny(w.dtype), 0.0)
+    c, a, w = _beckmann_tail(_lit(cos), a)
+    value = functional.threshold(a * (0.5 * w / c), numerics.tiny(w.dtype), 0.0)
     return numerics.rounded_back(value.masked_fill(cos <= 0, math.inf), dtype)
 
 
@@ -96,8 +117,8 @@ def beckmann_g1(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
 def beckmann_g2(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, alpha_sin_o: Tensor | float) -> Tensor:
     """Height-correlated masking and shadowing of Beckmann, in [0, 1]; arguments and edges as :func:`ggx_g2`."""
     (ci, ai, co, ao), dtype = working(cos_i, alpha_sin_i, cos_o, alpha_sin_o)
-    value = _correlated(_beckmann_x(_lit(ci), ai), _beckmann_x(_lit(co), ao))
-    return numerics.rounded_back(value * (step(ci) * step(co)), dtype)
+    i, o, lit = _both_lit(ci, co)
+    return numerics.rounded_back(_correlated(_beckmann_x(i, ai), _beckmann_x(o, ao)) * lit, dtype)
 
 
 def beckmann_lambda_walter(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
@@ -118,39 +139,43 @@ def _lit(cos: Tensor) -> Tensor:
     return functional.threshold(cos, 0.0, 1.0)
 
 
-def _constant_unit(x: Tensor) -> Tensor:
-    """What to divide by, as a constant, so that second derivatives of tiny numbers do not overflow midway; 1 for all others."""
-    x = x.detach()
-    return torch.where(x < torch.finfo(x.dtype).eps, x.clamp_min(numerics.tiny(x.dtype)), 1.0)
+def _both_lit(ci: Tensor, co: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Both cosines where both are above the horizon, and 1.0 there; elsewhere 1, 1 and 0.0."""
+    lit = step(ci) * step(co)
+    return ci * lit + (1.0 - lit), co * lit + (1.0 - lit), lit
+
+
+def _select(a: Tensor, b: Tensor, which: Tensor) -> Tensor:
+    """a where ``which`` is 0, b where it is 1; both finite. (lerp would do, but refuses the float64 tangents of vmap over jvp.)"""
+    return a * (1.0 - which) + b * which
 
 
 def _smaller_over_larger(c: Tensor, a: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Of two legs: k = smaller / larger, sqrt(1 + k^2), and 1.0 where ``c`` is the smaller."""
-    grazing = step(a - c)
-    less, more = torch.lerp(a, c, grazing), torch.lerp(c, a, grazing)  # exact at weights 0 and 1
-    unit = _constant_unit(more)
-    k = (less / unit) / (more / unit)
-    return k, torch.sqrt(1.0 + k * k), grazing
+    """Of two legs, not both 0: k = smaller / larger, the larger, and 1.0 where that is ``a``."""
+    swapped = step(a.abs() - c.abs())
+    larger = _select(c, a, swapped)
+    return _select(a, c, swapped) / larger, larger, swapped
 
 
 def _ggx_x(c: Tensor, a: Tensor) -> Tensor:
     """``c / sqrt(c^2 + a^2)``."""
-    k, root, grazing = _smaller_over_larger(c, a)
-    return torch.lerp(torch.ones_like(k), k, grazing) / root
+    k, _, grazing = _smaller_over_larger(c, a)
+    return _select(torch.ones_like(k), k, grazing) / torch.sqrt(1.0 + k * k)
 
 
-def _beckmann_nu_w(c: Tensor, a: Tensor) -> tuple[Tensor, Tensor]:
-    """nu = c / a and w = 2 nu Lambda; (1, 0) where exp(-nu^2) is below the smallest normal number."""
+def _beckmann_tail(c: Tensor, a: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """c, a and w = 2 nu Lambda; (1, 1, 0) where exp(-nu^2) is below the smallest normal number."""
     alive = step(a * math.sqrt(-math.log(numerics.tiny(a.dtype))) - c)
     c, a = c * alive + (1.0 - alive), a * alive + (1.0 - alive)
-    return c / a, exponential_tail(c, a) * alive
+    return c, a, exponential_tail(c, a) * alive
 
 
 def _beckmann_x(c: Tensor, a: Tensor) -> Tensor:
     """``nu / (nu + w)``."""
-    nu, w = _beckmann_nu_w(c, a)
+    c, a, w = _beckmann_tail(c, a)
+    nu = c / a
     total = nu + w
-    return torch.lerp(1.0 - w / total, nu / total, step(0.5 - nu))
+    return _select(1.0 - w / total, nu / total, step(0.5 - nu))
 
 
 def _masking(x: Tensor) -> Tensor:
@@ -160,7 +185,7 @@ def _masking(x: Tensor) -> Tensor:
 def _correlated(x: Tensor, y: Tensor) -> Tensor:
     """``2xy / (x + y)``, as smaller / (1 + smaller / larger) so that neither it nor its derivatives cancel or underflow."""
     swapped = step(x - y)
-    less, more = torch.lerp(x, y, swapped), torch.lerp(y, x, swapped)
-    unit = _constant_unit(more)
+    less, more = _select(x, y, swapped), _select(y, x, swapped)
+    unit = power_of_two_below(more)
     less, more = less / unit, more / unit
     return less / (1.0 + less / more) * (2.0 * unit)
