@@ -24,10 +24,12 @@ def direct(bsdf: Bsdf, surface: Surface, lights: Sequence[Light], visibility: Te
     """Radiance of every local light. ``visibility [L, ..., 1]`` counts the local lights alone."""
     unshadowed = iter(() if visibility is None else visibility.unbind(0))
     found: list[Contribution] = []
+    # What is not seen is put below the horizon, where even an infinite slope ends; times 0 it would be NaN.
+    hidden = 2.0 * (1.0 - surface.seen)
     for first, light in rows_of(lights, LocalLight):
         for k, arrival in enumerate(light.arrivals(surface.position, surface.wide)):
             g = surface.towards(arrival.wi)
-            strength = numerics.positive(g.cos_i) * surface.seen
+            strength = numerics.positive(g.cos_i - hidden)
             if arrival.falloff is not None:
                 strength = strength * arrival.falloff
             if visibility is not None:

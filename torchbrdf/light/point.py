@@ -9,7 +9,8 @@ position   [L, 3], any          where the lights are
 intensity  [L, C] >= 0, W/sr    radiant intensity, per channel
 =========  ===================  ================================
 
-A point that coincides with a light receives nothing from it (gradient 0). Source: Lambert 1760.
+A point that coincides with a light receives nothing from it (gradient 0). A light nearer than 1e-19 (float32), whose falloff would
+overflow, counts as that near (gradient 0 by the distance). Source: Lambert 1760.
 
 >>> import torch, torchbrdf as tb
 >>> tb.PointLight([0.0, 0.0, 2.0], 8.0).incident(torch.zeros(1, 3))[1].tolist()
@@ -37,6 +38,7 @@ class PointLight(LocalLight):
         for position, intensity in self.rows(points.x):
             towards = vector.subtract(Vec(*position.unbind(-1)), points)
             wi, inverse = vector.direction_and_inverse_length(towards)
+            inverse = inverse.clamp_max(1.0 / numerics.negligible(inverse.dtype))
             found.append(Arrival(wi, inverse * inverse, colour_parts(intensity, wide)))
         return found
 

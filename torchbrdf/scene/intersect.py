@@ -32,7 +32,10 @@ def gbuffer_fields(mesh: Mesh, camera: Camera) -> dict[str, Any]:
     plane = cross(*edges)
     hit, distance, weights = _intersect(o, d, a, edges, plane, found)
     normals = mesh.shading_normals() if mesh.normals is not None else mesh.replace(vertices=mesh.vertices.double()).shading_normals()
-    normal = interpolate([gather(normals.double(), i) for i in corners], weights)
+    usable = torch.isfinite(normals).all(-1)
+    finite = torch.where(usable.unsqueeze(-1), normals.double(), 0.0)  # NaN in a corner would be NaN in the gradient of the weights
+    normal = interpolate([gather(finite, i) for i in corners], weights)
+    normal = tuple(torch.where(usable[torch.stack(corners)].all(0), c, 0.0) for c in normal)
     position = vector.add(o, vector.scale(d, distance))
 
     def out(parts: Any) -> Tensor:
