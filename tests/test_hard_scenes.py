@@ -85,8 +85,8 @@ def trouble(scene, material, shade=tb.shade):
     g = scene[0]
     image, slopes = shaded(scene, material, shade)
     true_image, true_slopes = shaded(as_float64(scene), material.map(lambda t: held(t, g.position.dtype)))
-    facing = (tb.normalize(g.normal.float()) * tb.normalize(g.view.float())).sum(-1) > 0
-    hidden = ~(g.valid.squeeze(-1) & facing)
+    cos = (tb.normalize(g.normal.double()) * tb.normalize(g.view.double())).sum(-1)
+    hidden = ~g.valid.squeeze(-1) | (cos < -2 * torch.finfo(torch.float32).eps)  # rounding may turn what lies in the horizon
     for name, x, true in (("image", image, true_image), *((n, d, true_slopes[n]) for n, d in slopes.items())):
         if not bool(torch.isfinite(true).all()):
             yield f"{name}: not finite in float64"
