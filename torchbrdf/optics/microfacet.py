@@ -6,13 +6,12 @@ With :math:`c = \cos\theta`, :math:`s = \sin\theta`, the roughness :math:`\alpha
 ======================  =====================================================================  ==========================
 GGX D                   :math:`1/(\pi q^2),\ q = s_h^2/\alpha + \alpha c_h^2`                  Trowbridge & Reitz 1975;
                                                                                                Walter et al. 2007, eq. 33
-GGX D, anisotropic      :math:`1/(\pi\alpha_x\alpha_y(x^2/\alpha_x^2+y^2/\alpha_y^2+z^2)^2)`   Burley 2012; Heitz 2014,
-                                                                                               eq. 85
+GGX D, anisotropic      :math:`1/(\pi\alpha_x\alpha_y(x^2/\alpha_x^2+y^2/\alpha_y^2+z^2)^2)`   Burley 2012; Heitz 2014
 Beckmann D              :math:`e^{-\tan^2\theta_h/\alpha^2}/(\pi\alpha^2c_h^4)`                Beckmann & Spizzichino 1963;
                                                                                                Cook & Torrance 1982
-GGX Lambda              :math:`(r/c - 1)/2,\ r = \sqrt{c^2 + a^2}`                             Heitz 2014, eq. 72
-Beckmann Lambda         :math:`(\mathrm{erf}\,\nu - 1)/2 + e^{-\nu^2}/(2\nu\sqrt\pi)`          Smith 1967; Heitz 2014,
-                        with :math:`\nu = c/a`                                                 eq. 68
+GGX Lambda              :math:`(r/c - 1)/2,\ r = \sqrt{c^2 + a^2}`                             Heitz 2014
+Beckmann Lambda         :math:`(\mathrm{erf}\,\nu - 1)/2 + e^{-\nu^2}/(2\nu\sqrt\pi)`          Smith 1967; Heitz 2014
+                        with :math:`\nu = c/a`
 G1                      :math:`1/(1+\Lambda)`; of GGX :math:`2c/(c+r)`                         Smith 1967
 G2, height-correlated   :math:`1/(1+\Lambda_i+\Lambda_o)`                                      Ross et al. 2005; Heitz 2014
 visibility              :math:`G_2/(4c_ic_o)`; of GGX :math:`1/(2(c_or_i+c_ir_o))`             Lagarde & de Rousiers 2014
