@@ -2,7 +2,7 @@
 
 A header costs its writer nothing, and so does a run of zeros that unpacks to a terabyte. What a file claims to hold is
 therefore added up before anything is decoded: up to :data:`BELIEVED` bytes are believed of any file, and beyond that
-:data:`RATIO` times its own size. A reader holds up to four copies of what it decodes.
+:data:`RATIO` times its own size. A reader holds up to three copies of what it decodes.
 
 Every refusal is a ``ValueError`` (a missing file is a ``FileNotFoundError``) of one line that names the file.
 """

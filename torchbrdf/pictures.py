@@ -175,7 +175,8 @@ def _read_radiance(path: Path) -> np.ndarray:
     try:
         with path.open("rb") as file:
             head = file.read(rgbe.LONGEST_HEADER)
-            data = head + file.read(rgbe.longest_body(head, path.stat().st_size))
+            size = path.stat().st_size
+            data = head + file.read(min(size, rgbe.longest_body(head, size)))
         return rgbe.decode(data)
     except (ValueError, MemoryError) as error:
         raise ValueError(f"read_image: {path} is damaged, truncated or not a Radiance picture: {files.reason(error)}") from None

@@ -4,6 +4,7 @@ Only formats that are nothing but pixels are opened, whatever the name of the fi
 would run it.
 """
 
+import io
 import struct
 from pathlib import Path
 
@@ -20,7 +21,8 @@ def read(path: Path) -> np.ndarray:
     try:
         pixels = _read_deep_png(path) if _is_deep_png(path) else _read_pillow(path)
     except Exception as error:
-        raise ValueError(f"read_image: {path} is damaged, truncated or no picture that Pillow knows: {files.reason(error)}") from None
+        why = f"none of {', '.join(FORMATS)}" if type(error).__name__ == "UnidentifiedImageError" else files.reason(error)
+        raise ValueError(f"read_image: {path} is damaged, truncated or no picture that Pillow knows: {why}") from None
     return pixels if pixels.ndim == 3 else pixels[..., None]
 
 
@@ -28,7 +30,8 @@ def _read_pillow(path: Path) -> np.ndarray:
     from PIL import Image, ImageOps
 
     Image.init()
-    with Image.open(path, formats=[name for name in FORMATS if name in Image.OPEN]) as file:
+    data = io.BytesIO(path.read_bytes())  # of which no chunk can be longer than there is
+    with Image.open(data, formats=[name for name in FORMATS if name in Image.OPEN]) as file:
         if file.mode == "F":
             raise ValueError("its pixels are floats, which an 8-bit reader would clip; save it as EXR")
         deep = file.mode.startswith("I")

@@ -17,6 +17,8 @@ from torch import Tensor
 
 from . import files
 
+DEEPEST = 64  # far more than any value needs; a few hundred would exhaust Python's stack wherever the value is used
+
 
 def read(path: Path) -> Any:
     """The state in ``path``; any error says why it is none. Runs no code from the file."""
@@ -35,16 +37,18 @@ def read(path: Path) -> Any:
 
 
 def _check(state: Any, size: int) -> None:
-    left, seen = [state], set()
+    left, seen = [(state, 0)], set()
     while left:
-        one = left.pop()
+        one, depth = left.pop()
+        if depth > DEEPEST:
+            raise ValueError(f"its lists and dictionaries are more than {DEEPEST} deep")
         if isinstance(one, Tensor):
             _check_tensor(one, size)
         elif isinstance(one, dict | list | tuple) and one:
             if id(one) in seen:
                 raise ValueError("its lists or dictionaries hold each other, or one of them twice")
             seen.add(id(one))
-            left.extend(one.values() if isinstance(one, dict) else one)
+            left.extend((inner, depth + 1) for inner in (one.values() if isinstance(one, dict) else one))
 
 
 def _check_tensor(t: Tensor, size: int) -> None:

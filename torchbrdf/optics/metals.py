@@ -6,15 +6,46 @@ source, lie beside this file in ``metals.json``; they come from the refractivein
 
 import bisect
 import functools
+import itertools
 import json
+import math
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
+
+from .. import files
 
 
 @functools.cache
 def tables() -> dict[str, dict]:
     """``{metal: {"source": citation, "rows": [[wavelength in um, n, k], ...]}}``, rows by increasing wavelength."""
-    return json.loads(Path(__file__).with_name("metals.json").read_text(encoding="utf-8"))["metals"]
+    return read(Path(__file__).with_name("metals.json"))
+
+
+def read(path: Path) -> dict[str, dict]:
+    """The tables of a file; ``ValueError`` names the file and the metal where they are not what :func:`tables` says."""
+    try:
+        found = json.loads(files.existing(path, "metals").read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: damaged ({files.reason(error)}); install the package again") from None
+    metals = found.get("metals") if isinstance(found, dict) else None
+    if not isinstance(metals, dict):
+        raise ValueError(f"{path}: there is no 'metals' in it; install the package again")
+    for name, table in metals.items():
+        if not (isinstance(table, dict) and _is_sound(table.get("rows"))):
+            raise ValueError(
+                f"{path}: {name}: expected rows [wavelength, n > 0, k >= 0] by increasing wavelength; install the package again"
+            )
+    return metals
+
+
+def _is_sound(rows: Any) -> bool:
+    """Two rows or more of three finite numbers, n > 0, k >= 0, by increasing wavelength."""
+    numbers = isinstance(rows, list) and all(isinstance(r, list) and len(r) == 3 and all(type(x) in (int, float) for x in r) for r in rows)
+    if not numbers or len(rows) < 2:
+        return False
+    legal = all(0 < w < math.inf and 0 < n < math.inf and 0 <= k < math.inf for w, n, k in rows)
+    return legal and all(a[0] < b[0] for a, b in itertools.pairwise(rows))
 
 
 def index_at(metal: str, wavelengths_um: Iterable[float]) -> tuple[list[float], list[float]]:

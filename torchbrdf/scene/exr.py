@@ -37,6 +37,7 @@ _CHANNELS = {
     **dict.fromkeys(("position", "normal", "view", "geometric_normal", "tangent", "barycentric"), "XYZ"),
     **{"uv": "UV", "depth": "T", "mask": "", "triangle": "", "material": ""},
 }
+_OURS = {"mask", *(f"{field}.{c}" for field in ("position", "normal") for c in "XYZ")}  # a file with these is one of our own
 _LARGEST_ID = 1 << 24  # float32 holds every whole number up to here
 _NO_ID = {"triangle": -1, "material": 0}  # where there is no surface; the least id there is
 
@@ -70,7 +71,7 @@ def load_gbuffer(path: str | Path, camera: Camera | None = None, names: Mapping[
     groups = group(layers)
     flat = layers.get("", {})
     try:
-        if not names and {"mask", "position.X", "normal.X"} <= set(flat):
+        if not names and set(flat) >= _OURS:
             fields, notes = _own(flat), ["own G-buffer"]
             _add_view(fields, camera, notes)
         else:

@@ -89,9 +89,10 @@ def load_mesh(path: str | Path) -> Mesh:
     """
     from .mesh_file import read_mesh
 
-    mesh = Mesh(**read_mesh(Path(path)))
+    fields = read_mesh(Path(path))
     try:
+        mesh = Mesh(**fields)
         mesh.check()
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise ValueError(f"load_mesh: {path}: {error}") from None
     return mesh
