@@ -198,8 +198,8 @@ def second(name, p, i, j, dtype=torch.float32):
         *(("ggx_lambda", (k * 0.3, 0.3), 1, 1) for k in (0.2, 1e-3, 1e-6)),  # almost linear in a
         *(("ggx_g1", (k * 0.3, 0.3), 1, 1) for k in (0.2, 1e-3, 1e-6)),
         *(("projected_roughness", (0.5, 0.5 * k, 0.2, 0.2), 0, 0) for k in (0.3, 1e-2, 1e-4)),
-        ("ggx_visibility", (1e-15, 1.0, 1e-15, 0.5), 1, 1),  # the cube of the denominator would overflow
-        ("ggx_visibility", (1e-15, 1.0, 1e-15, 0.5), 1, 3),
+        ("ggx_visibility", (1e-25, 1.0, 1e-25, 0.5), 1, 1),  # the square of the denominator would underflow
+        ("ggx_visibility", (1e-25, 1.0, 1e-25, 0.5), 1, 3),
         ("ggx_g2", (1e-25, 1.0, 1e-25, 0.5), 0, 0),
         ("ggx_g2", (1e-25, 1.0, 1e-25, 0.5), 0, 2),
         ("beckmann_g2", (1e-25, 1.0, 1e-25, 0.5), 0, 2),

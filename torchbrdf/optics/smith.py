@@ -88,7 +88,7 @@ def ggx_visibility(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, al
     (ci, ai, co, ao), dtype = working(cos_i, alpha_sin_i, cos_o, alpha_sin_o)
     i, o, lit = _both_lit(ci, co)
     ri, ro = torch.hypot(i, ai), torch.hypot(o, ao)
-    unit = power_of_two_below(o * ri + i * ro)  # so that no cube of a small denominator overflows in second derivatives
+    unit = power_of_two_below(o * ri + i * ro)  # so that no power of a small denominator overflows in derivatives
     value = (0.5 / unit) / ((o / unit) * ri + (i / unit) * ro)
     return numerics.rounded_back(value * lit, dtype)
 
