@@ -135,7 +135,7 @@ def api() -> str:
     parts += ["## Models and Fresnel terms", "Described in [models](models.md)."]
     parts += [f"::: torchbrdf.{home}.{name}" for name, home in (BSDFS | FRESNEL_TERMS).items()]
     for module in torchbrdf._MODULES.values():
-        names = getattr(importlib.import_module(f"torchbrdf.{module}"), "__all__", ("dielectric", "conductor", "schlick"))
+        names = importlib.import_module(f"torchbrdf.{module}").__all__
         parts += [f"## torchbrdf.{module}", *(f"::: {where(module, name)}" for name in names)]
     return "\n\n".join(parts) + "\n"
 

@@ -108,7 +108,7 @@ def cosine_power(cos: Tensor, sin2: Tensor, exponent: Tensor) -> Tensor:
     near_pole = (cos > 0.5).to(cos.dtype)
     log_near = 0.5 * torch.log1p(-sin2.clamp_max(0.875))  # sin^2 = 0.75 where the two meet
     log_far = torch.log(cos.clamp_min(tiny(cos.dtype)))
-    log_value = exponent * torch.lerp(log_far, log_near, near_pole)  # exact at weights 0 and 1
+    log_value = exponent * (log_near * near_pole + log_far * (1.0 - near_pole))  # both are finite
     return torch.where((cos == 0) & (exponent > 0), 0.0, flushed_exp(log_value))
 
 

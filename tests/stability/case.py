@@ -8,8 +8,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-Columns = dict[str, np.ndarray]
 POINTS = 10_000
+
+
+class Columns(dict[str, np.ndarray]):
+    """A grid by the names of the inputs, and the dtype that it is a grid of."""
+
+    dtype = torch.float32
+
+    @property
+    def working(self) -> torch.finfo:
+        """Of the dtype that is computed in."""
+        return torch.finfo(torch.float64 if self.dtype == torch.float64 else torch.float32)
 
 
 def everywhere(x: Columns) -> Any:
@@ -44,13 +54,16 @@ class Case:
     peak: Callable[[Columns], Any] | None = None
     kinks: dict[str, Callable[[Columns], Any]] = dataclasses.field(default_factory=dict)  # reason: where slopes are not claimed
     outside: dict[str, Callable[[Columns], Any]] = dataclasses.field(default_factory=dict)  # reason: where nothing but finiteness is
+    outside_twice: dict[str, Callable[[Columns], Any]] = dataclasses.field(default_factory=dict)  # reason: where no second ones are
     at_most_one: bool = False
     signed: bool = False
     vectors: bool = False
 
-    def columns(self, points: np.ndarray) -> Columns:
+    def columns(self, points: np.ndarray, dtype: torch.dtype) -> Columns:
         """The grid by the names of the inputs."""
-        return dict(zip(self.inputs, points.T, strict=True))
+        found = Columns(zip(self.inputs, points.T, strict=True))
+        found.dtype = dtype
+        return found
 
 
 class Draw:

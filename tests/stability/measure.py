@@ -70,7 +70,7 @@ def truth_of(case: Case, dtype: torch.dtype) -> Truth:
     outs = case.truth(*dual.inputs(points))
     slopes = contracted(outs).parts if isinstance(contracted(outs), dual.Dual) else {}
     zero = np.full(len(points), gmpy2.mpfr(0), dtype=object)
-    everyday = np.asarray(case.everyday(case.columns(points)), dtype=bool)
+    everyday = np.asarray(case.everyday(case.columns(points, dtype)), dtype=bool)
     by_input = [slopes.get(j, 0) + zero for j in range(len(case.inputs))]
     return Truth(points, [dual.plain(o) + zero for o in outs], by_input, [sensitivity(case, points, o) + zero for o in outs], everyday)
 
@@ -105,15 +105,42 @@ def second_truth(case: Case, dtype: torch.dtype) -> tuple[np.ndarray, np.ndarray
     return chosen, found
 
 
+def columns_of(case: Case, dtype: torch.dtype, device: str) -> list[Tensor]:
+    """The grid as leaves ``[N]``, one an input."""
+    return [torch.from_numpy(c.copy()).to(device=device, dtype=dtype).requires_grad_() for c in truth_of(case, dtype).points.T]
+
+
+def total_of(outs: Sequence[Tensor], columns: list[Tensor]) -> Tensor:
+    """One number whose slopes by each point's inputs are those of its weighted results."""
+    return contracted([o.expand_as(columns[0]).to(torch.promote_types(o.dtype, torch.float32)) for o in outs]).sum()
+
+
 def run(case: Case, dtype: torch.dtype, formula: Formula | None = None, device: str = "cpu", second: bool = True) -> Figures:
-    """All figures of a formula (the library's own, unless another is given) in ``dtype``."""
-    truth = truth_of(case, dtype)
-    columns = [torch.from_numpy(c.copy()).to(device=device, dtype=dtype).requires_grad_() for c in truth.points.T]
-    outs = [o.expand(len(truth.points)) for o in (formula or case.call)(*columns)]
-    total = contracted([o.to(torch.promote_types(o.dtype, torch.float32)) for o in outs]).sum()
+    """All figures of a formula (the library's own, unless another is given) in ``dtype``, eagerly."""
+    columns = columns_of(case, dtype, device)
+    outs = [o.expand_as(columns[0]) for o in (formula or case.call)(*columns)]
+    total = total_of(outs, columns)
     slopes = torch.autograd.grad(total, columns, create_graph=second, allow_unused=True, materialize_grads=True) if total.requires_grad else ()
     seconds = _second(slopes, columns) if second else None
     return compare(case, dtype, [as_array(o) for o in outs], [as_array(s) for s in slopes], seconds)
+
+
+def run_compiled(cases: Sequence[Case], dtype: torch.dtype, device: str = "cpu") -> list[Figures]:
+    """Figures of several formulas compiled together, with values and first derivatives (a compiled graph has no second ones)."""
+    columns = [columns_of(case, dtype, device) for case in cases]
+
+    def everything(columns: list[list[Tensor]]) -> list[list[Tensor]]:
+        return [list(case.call(*c)) for case, c in zip(cases, columns, strict=True)]
+
+    torch.compiler.reset()
+    results = torch.compile(everything, fullgraph=True, dynamic=False)(columns)
+    total = sum(total_of(outs, c) for outs, c in zip(results, columns, strict=True))
+    leaves = [x for c in columns for x in c]
+    slopes = iter(torch.autograd.grad(total, leaves, allow_unused=True, materialize_grads=True))
+    found = []
+    for case, c, outs in zip(cases, columns, results, strict=True):
+        found.append(compare(case, dtype, [as_array(o.expand_as(c[0])) for o in outs], [as_array(next(slopes)) for _ in c], None))
+    return found
 
 
 def _second(slopes: Sequence[Tensor], columns: list[Tensor]) -> np.ndarray:
@@ -132,14 +159,17 @@ def as_array(x: Tensor) -> np.ndarray:
 def compare(case: Case, dtype: torch.dtype, values: list[np.ndarray], slopes: list[np.ndarray], seconds: np.ndarray | None) -> Figures:
     """Figures of results that somebody computed in ``dtype`` on the case's grid."""
     truth = truth_of(case, dtype)
-    x = case.columns(truth.points)
+    x = case.columns(truth.points, dtype)
     claimed, slope_claimed, excluded = _claims(case, dtype, truth, x)
     errors = value_errors(case, dtype, truth, values)[claimed]
     slope_error = slope_errors(case, dtype, truth, slopes)
     mixed = slope_error[slope_claimed]
     today = truth.everyday & slope_claimed
     not_finite = ~np.isfinite(np.stack(slopes, 1)).all(1) if slopes else ~everywhere(x)
-    seconds_bad, second_error = _compare_second(case, dtype, truth, seconds, slope_claimed)
+    twice = {f"second: {reason}": np.asarray(mask(x), dtype=bool) & slope_claimed for reason, mask in case.outside_twice.items()}
+    excluded |= {reason: int(mask.sum()) for reason, mask in twice.items() if mask.any()}
+    second_claimed = slope_claimed & ~np.logical_or.reduce([*twice.values(), ~everywhere(x)])
+    seconds_bad, second_error = _compare_second(case, dtype, truth, seconds, second_claimed)
     return Figures(
         points=len(truth.points),
         excluded=excluded,
@@ -177,19 +207,20 @@ def representable(t: np.ndarray, most: float) -> np.ndarray:
     return _magnitude_at_most(t, most).astype(bool)
 
 
-def spacing(t: np.ndarray, dtype: torch.dtype) -> np.ndarray:
-    """One ulp at ``t``; at least the smallest normal number of the dtype computed in, below which results may be flushed to 0."""
+def spacing(t: np.ndarray, dtype: torch.dtype, flushed_below: Any = 1) -> np.ndarray:
+    """One ulp at ``t``; where ``t`` may be flushed to 0, ``flushed_below`` times four smallest normal numbers of the dtype computed in."""
     info, bits = torch.finfo(dtype), BITS[dtype]
-    least = info.smallest_normal * info.eps
-    flush = torch.finfo(torch.float32 if bits < 24 else dtype).smallest_normal
-    exponent = np.frompyfunc(lambda x: gmpy2.mpfr(2) ** (gmpy2.frexp(x)[0] - bits) if x else gmpy2.mpfr(least), 1, 1)
-    lowest = np.where(_magnitude_at_most(t, 4 * flush).astype(bool), max(least, 4 * flush), least)
-    return np.maximum(exponent(t), lowest)
+    least = gmpy2.mpfr(info.smallest_normal * info.eps)
+    ulp = np.frompyfunc(lambda x: max(gmpy2.mpfr(2) ** (gmpy2.frexp(x)[0] - bits), least) if x else least, 1, 1)(t)
+    flush = flushed_below * gmpy2.mpfr(4 * torch.finfo(torch.float32 if bits < 24 else dtype).smallest_normal)
+    return np.where(np.less_equal(np.abs(t), flush).astype(bool), np.maximum(ulp, flush), ulp)
 
 
 def value_errors(case: Case, dtype: torch.dtype, truth: Truth, values: list[np.ndarray]) -> np.ndarray:
     """The error of each point in the unit of the case; the largest over its results."""
-    unit = [spacing(t, dtype) for t in truth.values]
+    # A lobe is flushed before its normalisation, which grows as fast as its logarithmic slope, multiplies it.
+    lobe = case.error in ("exp", "backward")
+    unit = [spacing(t, dtype, 1 + c / _nonzero(np.abs(t)) if lobe else 1) for t, c in zip(truth.values, truth.sensitivity, strict=True)]
     if case.error == "scale":
         unit = [np.maximum(u, spacing(np.full(len(t), gmpy2.mpfr(case.scale), dtype=object), dtype)) for u, t in zip(unit, truth.values, strict=True)]
     if case.error == "length":
@@ -212,7 +243,7 @@ def relative(truth: Truth, values: list[np.ndarray], mask: np.ndarray) -> float:
 
 def _exponential_unit(case: Case, dtype: torch.dtype, truth: Truth, t: np.ndarray) -> np.ndarray:
     assert case.peak is not None
-    below_peak = np.frompyfunc(lambda f, p: abs(gmpy2.log(f / p)) if f > 0 and p > 0 else gmpy2.mpfr(0), 2, 1)(t, case.peak(case.columns(truth.points)))
+    below_peak = np.frompyfunc(lambda f, p: abs(gmpy2.log(f / p)) if f > 0 and p > 0 else gmpy2.mpfr(0), 2, 1)(t, case.peak(case.columns(truth.points, dtype)))
     return (4 + 2 * below_peak) * torch.finfo(dtype).eps * np.abs(t)
 
 
@@ -224,7 +255,7 @@ def slope_errors(case: Case, dtype: torch.dtype, truth: Truth, slopes: list[np.n
     if case.vectors:
         length = dual.sqrt(sum(t * t for t in truth.slopes))
         size = np.maximum(size, length)
-    size = np.maximum(size, gmpy2.mpfr(torch.finfo(torch.float32 if BITS[dtype] < 24 else dtype).smallest_normal))  # flushed to 0 below
+    size = np.maximum(size, gmpy2.mpfr(torch.finfo(dtype).smallest_normal))  # flushed to 0, or rounded to few bits, below
     errors = [np.abs(s - t) / np.maximum(np.abs(t), size) for s, t in zip(slopes, truth.slopes, strict=True)]
     return np.max([e.astype(np.float64) for e in errors], 0)
 

@@ -28,6 +28,7 @@ from ..interval import UNIT, Interval
 from ..value import Value, param, value
 from ..vector import stack
 
+__all__ = ["amplitudes", "conductor", "dielectric", "refraction_cosine", "schlick"]
 ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0), flat=(1.0,))
 
 

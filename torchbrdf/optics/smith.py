@@ -101,7 +101,7 @@ def beckmann_lambda(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     """
     (cos, a), dtype = working(cos, alpha_sin)
     c, a, w = _beckmann_tail(_lit(cos), a)
-    value = functional.threshold(a * (0.5 * w / c), numerics.tiny(w.dtype), 0.0)
+    value = functional.threshold((0.5 * a * w) / c, numerics.tiny(w.dtype), 0.0)
     return numerics.rounded_back(value.masked_fill(cos <= 0, math.inf), dtype)
 
 

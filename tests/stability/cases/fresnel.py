@@ -167,6 +167,7 @@ CASES = (
         conductor_grid,
         lambda x: between("cos_i", *UNIT)(x) & between("eta", 0.1, 3.0)(x) & between("k", 0.5, 7.0)(x),
         covers=("fresnel.conductor", "Conductor"),
+        outside_twice={"a vacuum up to a denormal k": lambda x: (x["eta"] == 1) & (x["k"] < x.working.smallest_normal)},
         at_most_one=True,
     ),
     Case(

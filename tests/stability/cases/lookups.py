@@ -50,7 +50,7 @@ def call_radiance(x, y, z):
 
 def direction_grid(draw: Draw) -> np.ndarray:
     """The poles, the seam and their neighbours, and anything, of unit length."""
-    pole = directions(draw, 600) * draw.spread(600, 2.0**40 * draw.info.tiny if not draw.half else draw.info.tiny, 1e-2)[:, None] + np.array([0.0, 1.0, 0.0]) * draw.rng.choice([-1, 1], (600, 1))
+    pole = directions(draw, 600) * draw.spread(600, draw.info.tiny * (1.0 if draw.dtype == torch.float16 else 2.0**40), 1e-2)[:, None] + np.array([0.0, 1.0, 0.0]) * draw.rng.choice([-1, 1], (600, 1))
     seam = directions(draw, 200)
     seam[:, 2] = -np.abs(seam[:, 2])
     seam[:, 0] = draw.rng.choice([0.0, -0.0, draw.denormal, -draw.denormal, draw.info.eps], 200)
@@ -83,14 +83,14 @@ def call_point_light(*point):
 
 def point_grid(draw: Draw) -> np.ndarray:
     """Near the light and far from it, and the light itself."""
-    lengths = draw.spread(10_000, 2e-3 if draw.half else 1e-6, 1e2 if draw.half else 1e8)[:, None]
+    lengths = draw.spread(10_000, 0.1 if draw.half else 1e-6, 1e2 if draw.half else 1e8)[:, None]
     at = np.array([LIGHT])
     return draw.rounded(np.concatenate([at, np.zeros((1, 3)), at + np.eye(3) * draw.info.eps, at + lengths * directions(draw, 10_000)]))
 
 
 def at_pole(x):
     """So near that it counts as the pole."""
-    return np.maximum(np.abs(x["d.x"]), np.abs(x["d.z"])) <= HEADROOM / np.finfo(np.float32).max
+    return np.maximum(np.abs(x["d.x"]), np.abs(x["d.z"])) <= HEADROOM / x.working.max
 
 
 CASES = (

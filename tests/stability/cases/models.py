@@ -132,17 +132,55 @@ def model(name: str, parameters: dict[str, Callable[[Draw], np.ndarray]], make: 
 
 def everyday_lobe(x: Columns) -> Any:
     """Exponents of every day, and bright enough to be seen: above a thousandth of the peak."""
+    coloured = np.min([x[k] for k in ("albedo", "specular") if k in x], 0) > 0.01
     if "exponent" not in x:
-        return np.ones(len(x["n.x"]), dtype=bool)
+        return coloured
     wi, wo, n = (stacked(x, k) / np.linalg.norm(stacked(x, k), axis=1, keepdims=True) for k in ("wi", "wo", "n"))
     mirror = 2 * (n * wo).sum(1, keepdims=True) * n - wo
     cos = np.maximum((mirror * wi).sum(1), 1e-9)
-    return between("exponent", 1.0, 200.0)(x) & (x["exponent"] * np.log(cos) > np.log(1e-3)) & (x.get("specular", np.ones(len(cos))) > 0)
+    return between("exponent", 1.0, 200.0)(x) & (x["exponent"] * np.log(cos) > np.log(1e-3)) & coloured
 
 
 def eta(draw: Draw) -> np.ndarray:
     return np.where(draw.uniform(ROWS) < 0.1, 1.0, draw.uniform(ROWS, 1.2, 2.5))
 
+
+def mirror(*c):
+    """tint F(cos) above the horizon."""
+    wo, n = unit(c[:3]), unit(c[3:6])
+    cos = dot(n, wo)
+    return (where(positive(cos), c[6] * fresnel.dielectric(where(positive(cos), cos, 1), c[7])[0], 0),)
+
+
+def call_mirror(*c):
+    wo, n = torch.stack(c[:3], -1), torch.stack(c[3:6], -1)
+    return tb.Mirror(c[6].unsqueeze(-1), tb.Dielectric(c[7].unsqueeze(-1))).directional_albedo(wo, n).unbind(-1)
+
+
+def mirror_grid(draw: Draw) -> np.ndarray:
+    columns = (unit_interval(draw), eta(draw))
+    return np.concatenate([point_rows(draw)[:, 3:], *[draw.rounded(c)[:, None] for c in columns]], 1)
+
+
+def near_own_horizon(x: Columns) -> Any:
+    """As near the horizon as the rounding of the two directions."""
+    wo, n = stacked(x, "wo"), stacked(x, "n")
+    return ~(np.abs(n) == 1).any(1) & (np.abs((wo * n).sum(1)) < 4e-7)
+
+
+MIRROR = Case(
+    "Mirror, dielectric",
+    (*POINT[3:], "tint", "eta"),
+    call_mirror,
+    mirror,
+    mirror_grid,
+    lambda x: ((stacked(x, "wo") * stacked(x, "n")).sum(1) > 0.05) & (x["tint"] > 0.01) & (x["eta"] > 1),
+    covers=("Mirror",),
+    error="backward",
+    vectors=True,
+    at_most_one=True,
+    outside={"at the horizon, up to rounding": near_own_horizon},
+)
 
 CASES = (
     model("Lambert", {"albedo": unit_interval}, tb.Lambert, lambda p, a: a / pi(), covers=("Lambert",)),
@@ -179,11 +217,12 @@ CASES = (
         kinks={"no half vector": lost_half_vector},
     ),
     model(
-        "1e6 x (Lambert + Phong)",
-        {"albedo": lambda draw: unit_interval(draw) * (1e-6 if draw.half else 1e-12), "exponent": exponent},
-        lambda a, s: 1e6 * (tb.Lambert(a) + tb.Phong(a, s, normalization="bound")),
-        lambda p, a, s: 1000000 * (a / pi() + phong(p, a, s, "bound")),
+        "2^20 (2^-40 (Lambert + Phong))",  # 1e6 times 1e-12
+        {"albedo": unit_interval, "exponent": exponent},
+        lambda a, s: 2.0**20 * (2.0**-40 * (tb.Lambert(a) + tb.Phong(a, s, normalization="bound"))),
+        lambda p, a, s: (a / pi() + phong(p, a, s, "bound")) * 2.0**-20,
         covers=("Sum", "Scaled"),
         kinks={"edge of the lobe": lobe_edge},
     ),
+    MIRROR,
 )

@@ -200,7 +200,7 @@ def beyond_critical(x, margin=0.05):
 
 def shorter_than_usable(x):
     """So short that 1/length, the slope, is not a number of the dtype: documented to count as zero."""
-    return np.abs(stacked(x, "v")).max(1) <= 2 / np.finfo(np.float32).max
+    return np.abs(stacked(x, "v")).max(1) <= 2 / x.working.max
 
 
 def call_frame(*n):
@@ -216,7 +216,7 @@ CASES = (
         normalize,
         vector_grid,
         lambda x: np.abs(np.log(np.maximum(np.linalg.norm(stacked(x, "v"), axis=1), 1e-300))) < 3,
-        covers=("normalize",),
+        covers=("normalize", "DirectionalLight"),  # which is its direction, normalised
         outside={"shorter than 2/max": shorter_than_usable},
         signed=True,
         vectors=True,

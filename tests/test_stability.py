@@ -1,0 +1,121 @@
+"""Every formula holds its bounds on its hard grid; every formula has one; and the measure sees what is wrong."""
+
+import gmpy2
+import numpy as np
+import oracle
+import pytest
+import torch
+from stability import bounds, dual, measure, report, rivals
+from stability.case import POINTS, Draw
+from stability.cases import CASES
+
+import torchbrdf as tb
+from torchbrdf import numerics
+from torchbrdf.registry import BSDFS, FRESNEL_TERMS
+
+BY_NAME = {case.name: case for case in CASES}
+HARD = ("normalize", "reflect", "refract", "Frame", "Geometry", "EnvironmentMap", "PointLight", "DirectionalLight")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forget():
+    yield
+    report.forget()
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_single_precision(name):
+    case = BY_NAME[name]
+    assert bounds.violations(measure.run(case, torch.float32), case.error, case.vectors, torch.float32) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [torch.float64, torch.bfloat16, torch.float16], ids=report.name_of)
+@pytest.mark.parametrize("name", BY_NAME)
+def test_other_dtypes(name, dtype):
+    case = BY_NAME[name]
+    assert bounds.violations(measure.run(case, dtype), case.error, case.vectors, dtype) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", report.DTYPES, ids=report.name_of)
+@pytest.mark.parametrize("batch", list(report.batches(CASES)), ids=lambda b: b[0].name)
+def test_fusion_undoes_nothing(batch, dtype):
+    for case, fused in zip(batch, measure.run_compiled(batch, dtype), strict=True):
+        eager = measure.run(case, dtype, second=False)
+        assert bounds.undone(fused, eager, case.error) == [], case.name
+        assert bounds.violations(fused, case.error, case.vectors, dtype) == [], case.name
+
+
+def test_every_formula_is_measured():
+    covered = {name for case in CASES for name in case.covers}
+    functions = [f"{module}.{name}" for module in ("fresnel", "microfacet") for name in getattr(tb, module).__all__]
+    assert {*functions, *BSDFS, *FRESNEL_TERMS, *HARD} <= covered, "a formula joins with its oracle and its hard cases: tests/stability/cases"
+
+
+@pytest.mark.parametrize("dtype", report.DTYPES, ids=report.name_of)
+def test_grids_hold_what_is_hard(dtype):
+    info = torch.finfo(dtype)
+    denormal = info.smallest_normal * info.eps
+    for case in CASES:
+        points = case.grid(Draw(dtype))
+        assert len(points) >= POINTS, case.name
+        assert (torch.from_numpy(points).to(dtype).double().numpy() == points).all(), f"{case.name}: a point is not a number of the dtype"
+        columns = case.columns(points, dtype)
+        for name in ("cos_i", "cos_h", "cos"):
+            if name in columns:
+                held = {-denormal, 0.0, denormal, info.smallest_normal, 1.0 - info.eps / 2, 1.0, 1.0 + info.eps}
+                assert held <= set(columns[name].tolist()), (case.name, name)
+        if "k" in columns:
+            assert {0.0, denormal} <= set(columns["k"].tolist())
+
+
+def test_derivatives_of_the_oracle():
+    """Dual numbers against central differences of an independent formula, by complex amplitudes, in 320 bits."""
+    dual.set_precision(torch.float32)
+    points = np.array([[0.3, 1.5, 2.5], [0.9, 0.2, 3.0], [0.5, 1.5, 0.0], [1.0, 0.05, 0.5]])
+    (r,) = BY_NAME["fresnel.conductor"].truth(*dual.inputs(points))
+    for i, p in enumerate(points.tolist()):
+        assert abs(float(r.value[i]) - float(oracle.reflectance(*p))) < 1e-16
+        for j in range(3):
+            assert float(r.parts[j][i]) == pytest.approx(float(oracle.derivative(j, *p)), rel=1e-12, abs=1e-30)
+
+
+def test_second_derivatives_of_the_oracle():
+    dual.set_precision(torch.float32)
+    x, s = dual.inputs(np.array([[0.3, 2.5]]), along=0)
+    f = dual.power(x, s) * dual.erf(x) / dual.sqrt(s)
+    h = gmpy2.mpfr(10) ** -40
+
+    def slope(x):
+        x, s = dual.inputs(np.array([[x, gmpy2.mpfr(2.5)]], dtype=object))
+        return (dual.power(x, s) * dual.erf(x) / dual.sqrt(s)).parts
+
+    up, down = slope(gmpy2.mpfr(0.3) + h), slope(gmpy2.mpfr(0.3) - h)
+    for j in range(2):
+        assert abs(f.parts[j].parts[0][0] - (up[j][0] - down[j][0]) / (2 * h)) < 1e-60
+
+
+@pytest.mark.parametrize("name", [n for n in rivals.TEXTBOOK if n not in ("fresnel.schlick", "microfacet.beckmann_g1", "microfacet.ggx_g1")])
+def test_the_bounds_refuse_the_textbook(name):
+    """They are no formality: competent textbook code breaks them on the same points."""
+    case = BY_NAME[name]
+    assert bounds.violations(rivals.textbook(case, torch.float32), case.error, case.vectors, torch.float32)
+
+
+FAULTS = {
+    "g^2 without compensation": (numerics, "eta2_minus_sin2", lambda c, n, *_, **__: (n - 1) * (n + 1) + c * c, "fresnel.refraction_cosine"),
+    "a square root capped": (numerics, "safe_sqrt", lambda x, least=0.0: torch.sqrt(x.clamp_min(1e-8)), "Geometry"),
+    "a dot product rounded": (numerics, "sum_of_products", lambda *p: (sum(x * y for x, y in p), torch.zeros(())), "refract"),
+    "a lobe not flushed but cut": (numerics, "flushed_exp", lambda x: torch.exp(x.clamp_min(-20)), "Phong lobe (modified)"),
+    "a lobe by the cosine": (numerics, "log1p_power", lambda m, s: (1 - m).clamp_min(1e-6) ** s, "Phong lobe (none)"),
+    "a value nudged": (numerics, "reciprocal_or_zero", lambda x, least=0.0: 1 / (x + 1e-5), "Blinn-Phong"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_seen(fault, monkeypatch):
+    module, attribute, faulty, name = FAULTS[fault]
+    monkeypatch.setattr(module, attribute, faulty)
+    case = BY_NAME[name]
+    assert bounds.violations(measure.run(case, torch.float32, second=False), case.error, case.vectors, torch.float32)
