@@ -83,8 +83,8 @@ def lights(dtype, dazzling=1e30):
     return [point.to(dtype), sun.to(dtype)]
 
 
-def sky(dtype):
-    """A sun of 1e30 beside darkness."""
+def sky(dtype, dazzling=1e30):
+    """A dazzling sun beside darkness."""
     texels = torch.linspace(0.0, 1.0, 4 * 8 * 3, dtype=torch.float64).reshape(4, 8, 3)
-    texels[1, 2], texels[0, 5], texels[3, 3] = 1e30, 0.0, 1e-38
+    texels[1, 2], texels[0, 5], texels[3, 3] = dazzling, 0.0, 1e-38
     return tb.EnvironmentMap(texels.to(dtype))

@@ -21,7 +21,8 @@ MATERIALS = {f"{label}: {where}": v for label, m in instances() if isinstance(m,
 
 NAMES = {torch.float64: "float64", torch.float32: "float32", torch.bfloat16: "bfloat16", torch.float16: "float16"}
 # Slopes pass through radiance times exponent: with the largest exponent, 1e7, the light must leave room for it in float32.
-DAZZLING, DAZZLING_ON_A_NEEDLE = 1e30, 1e22
+# float16 ends at 65504, and a slope is known to a rounding of the radiance.
+DAZZLING, DAZZLING_ON_A_NEEDLE, DAZZLING_IN_HALF = 1e30, 1e22, 1e3
 
 
 @functools.cache
@@ -32,9 +33,9 @@ def points_of(kind, dtype):
 def scene(kind, material, dtype):
     """G-buffer ``[...]`` and the lights that belong to lobes, and to deltas."""
     sharpest = max((float(t.max()) for t in leaves(material)[1]), default=0.0)
-    bright = DAZZLING if sharpest < 1e6 else DAZZLING_ON_A_NEEDLE
+    bright = DAZZLING_IN_HALF if dtype == torch.float16 else DAZZLING if sharpest < 1e6 else DAZZLING_ON_A_NEEDLE
     lit = torch.promote_types(dtype, torch.float32)  # lights stay as precise as they are
-    return points_of(kind, dtype), hard.lights(lit, bright), [hard.sky(lit)]
+    return points_of(kind, dtype), hard.lights(lit, bright), [hard.sky(lit, bright)]
 
 
 def as_float64(scene):

@@ -64,8 +64,8 @@ class Interval:
         for value in self.flat:
             x = torch.where(x == value, value + math.sqrt(margin), x)
         if math.isfinite(self.low) and math.isfinite(self.high):
-            part = ((x - self.low) / (self.high - self.low)).clamp(margin * (x <= self.low), 1.0 - margin * (x >= self.high))
-            return 2.0 * torch.asin(torch.sqrt(part))
+            part = (x - self.low) / (self.high - self.low)
+            return 2.0 * torch.asin(torch.sqrt(torch.where(part <= 0, margin, torch.where(part >= 1, 1.0 - margin, part))))
         if not math.isfinite(self.low):
             return x
         above = torch.where(x <= self.low, margin, x - self.low)
