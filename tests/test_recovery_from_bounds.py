@@ -95,9 +95,7 @@ def adam(shader, g, lights, photograph, name):
 
 
 def lbfgs(shader, g, lights, photograph, name):
-    optimiser = torch.optim.LBFGS(
-        shader.parameters(), max_iter=60, max_eval=200, line_search_fn="strong_wolfe", tolerance_grad=1e-13, tolerance_change=0
-    )
+    optimiser = torch.optim.LBFGS(shader.parameters(), max_iter=60, line_search_fn="strong_wolfe", tolerance_grad=1e-13, tolerance_change=0)
 
     def closure():
         optimiser.zero_grad()

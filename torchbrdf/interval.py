@@ -38,7 +38,8 @@ class Interval:
         return (*(x for x in ends if math.isfinite(x)), *self.hard)
 
     def from_unconstrained(self, u: Tensor) -> Tensor:
-        """All reals -> the range: ``sin^2(u/2)`` between two ends, ``sinh^2(u/2)`` above one, exp above an open one, else identity.
+        """All reals -> the range: ``sin^2(u/2)`` between two ends, ``sinh^2(u/2)`` above one (``|sinh(u/2)|`` above a flat one, from
+        which a parameter acts by its square), ``exp(u)`` above an open one, else the identity.
 
         The first two reach their ends, and their slopes there are only as small as the root of the distance, sqrt(x (1 -+ x)); a
         sigmoid's is the distance itself, and a long step leaves it where no gradient is. Far up, sinh^2 is an exponential. Legal
@@ -51,7 +52,8 @@ class Interval:
             return u
         most = -math.log(info.tiny)
         if not self.open_low:
-            return self.low + torch.sinh(0.5 * u.clamp(-most, most)).square()
+            root = torch.sinh(0.5 * u.clamp(-most, most))
+            return self.low + (root.abs() if self.low in self.flat else root.square())
         return self.low + torch.exp(u.clamp(math.log(max(info.tiny, 2.0 * info.eps * abs(self.low))), most))
 
     def to_unconstrained(self, x: Tensor) -> Tensor:
@@ -69,7 +71,9 @@ class Interval:
         if not math.isfinite(self.low):
             return x
         above = torch.where(x <= self.low, margin, x - self.low)
-        return torch.log(above) if self.open_low else 2.0 * torch.asinh(torch.sqrt(above))
+        if self.open_low:
+            return torch.log(above)
+        return 2.0 * torch.asinh(above if self.low in self.flat else torch.sqrt(above))
 
     def draw(self, shape: tuple[int, ...], generator: torch.Generator, dtype: torch.dtype = torch.float64) -> Tensor:
         """Random legal values: log-uniform over a positive typical range of more than one decade, uniform otherwise."""
