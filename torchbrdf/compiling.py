@@ -16,6 +16,8 @@ def compile(fn: Callable[..., Any], *, fullgraph: bool = True, recompute: bool =
     values again instead of reading them from memory: a formula of a few hundred flops per pixel is faster so. Compiling needs a
     C++ compiler; without one torch raises at the first call, even where its cache is warm.
     """
+    if not callable(fn):
+        raise TypeError(f"compile: expected a function, a plan or a module, found {type(fn).__name__}")
     if not _has_compiler():
         _warn_once("no C++ compiler (g++) was found: running eagerly, several times slower; install g++ to compile")
         return fn

@@ -7,6 +7,7 @@ therefore added up before anything is decoded: up to :data:`BELIEVED` bytes are 
 Every refusal is a ``ValueError`` (a missing file is a ``FileNotFoundError``) of one line that names the file.
 """
 
+import os
 from pathlib import Path
 
 BELIEVED = 1 << 30  # bytes; raise it (torchbrdf.files.BELIEVED = ...) for a file that you trust
@@ -15,9 +16,21 @@ RATIO = 64  # what a format packs to less than this part of its size, beyond BEL
 
 def existing(path: str | Path, who: str) -> Path:
     """The path of a file that is there."""
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"{who}: expected the path of a file, found {type(path).__name__}")
     if not Path(path).is_file():
         raise FileNotFoundError(f"{who}: no such file: {path}")
     return Path(path)
+
+
+def folder_of(path: str | Path, who: str) -> Path:
+    """The folder, which must be there, of a file that is to be written."""
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"{who}: expected the path of a file, found {type(path).__name__}")
+    folder = Path(path).parent
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{who}: {path}: no such folder: {folder}")
+    return folder
 
 
 def believable(size: int) -> int:

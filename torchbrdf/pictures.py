@@ -15,10 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import files, raster, rgbe
+from . import arguments, files, raster, rgbe
 
 Layers = dict[str, dict[str, np.ndarray]]
 EIGHT_BIT = (".png", ".jpg", ".jpeg")
+_MOST_EXPOSURE = 126  # stops, all that float32 spans to either side of 1
 _ROWS = 256  # of a picture that are recoded at a time: the sRGB curve holds several copies of what it works on
 
 
@@ -48,6 +49,9 @@ def save_image(path: str | Path, image: Tensor, exposure: float = 0.0) -> None:
     ``.png`` and ``.jpg``: sRGB encoded, clipped to [0, 1], 8 bit. ``.exr``: linear float32, as it is.
     """
     path = _writable(path, "save_image", (*EIGHT_BIT, ".exr"))
+    if not (isinstance(exposure, int | float) and abs(exposure) <= _MOST_EXPOSURE):  # so is NaN refused
+        raise ValueError(f"save_image: exposure: expected stops from -{_MOST_EXPOSURE} to {_MOST_EXPOSURE}, found {exposure!r}")
+    arguments.of_kind(image, "save_image: image", Tensor, "tb.shade(g, bsdf, lights)")
     if image.dim() != 3 or image.shape[-1] not in (1, 3) or not image.is_floating_point() or not image.numel():
         raise ValueError(f"save_image: image: expected floats [H, W, 3] or [H, W, 1], found {image.dtype} {list(image.shape)}")
     pixels = image.detach().float().cpu() * 2.0**exposure
@@ -102,11 +106,10 @@ def write_exr(path: str | Path, channels: Mapping[str, Any]) -> None:
 
 
 def _writable(path: str | Path, who: str, legal: tuple[str, ...]) -> Path:
+    files.folder_of(path, who)
     path = Path(path)
     if path.suffix.lower() not in legal:
         raise ValueError(f"{who}: {path}: the name must end in one of {', '.join(legal)}")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{who}: {path}: no such folder: {path.parent}")
     return path
 
 

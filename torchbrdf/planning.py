@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from . import arguments
 from .bsdf.base import Bsdf, Channels
 from .effects import base, check, direct, mirror, shadow
 from .geometry import each
@@ -116,9 +117,11 @@ def plan(
     sources = check.as_list(lights)
     check.check_scene(g, bsdf, sources)
     check.check_mesh(mesh)
-    if not _values_are_hidden():
+    if not arguments.hidden():
         for checked in (bsdf, *sources):
             validate(checked)
+        if isinstance(visibility, Tensor):
+            check.check_visible_share(visibility)
     local = sum(len(s) for s in sources if isinstance(s, LocalLight))
     environments = sum(isinstance(s, EnvironmentMap) for s in sources)
     _refuse_integrals(bsdf, environments)
@@ -137,13 +140,9 @@ def shade(
     per_light: bool = False,
 ) -> Tensor:
     """Radiance ``[..., H, W, C]`` of a G-buffer: :func:`plan` and run in one call. ``mesh=`` lets that mesh cast shadows."""
-    found = plan(g, bsdf, lights, mesh, visibility=visibility, shadow=shadow)
-    return found(g, bsdf, lights, mesh=mesh, visibility=visibility, per_light=per_light)
-
-
-def _values_are_hidden() -> bool:
-    """Compiled graphs and transforms hold no values to look at: ranges are checked outside them."""
-    return torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None
+    sources = check.as_list(lights)
+    found = plan(g, bsdf, sources, mesh, visibility=visibility, shadow=shadow)
+    return found(g, bsdf, sources, mesh=mesh, visibility=visibility, per_light=per_light)
 
 
 def _names(bsdf: Bsdf, delta: bool) -> str:

@@ -8,7 +8,7 @@ shading points. Parameters with batch axes must match the points themselves.
 
 import dataclasses
 import importlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from . import files, saved
+from . import arguments, files, saved
 from .interval import Interval
 
 T = TypeVar("T")
@@ -51,7 +51,7 @@ def _to_tensor(x: Any, where: str, kind: str) -> Tensor:
 
 
 _LEGAL = {
-    "float": (torch.float64, torch.float32, torch.bfloat16, torch.float16),
+    "float": arguments.FLOATS,
     "int": (torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8),
     "bool": (torch.bool,),
 }
@@ -69,14 +69,17 @@ class Value:
     # Filled in by @value: torch.compile cannot trace dataclasses.fields on a class.
     _params: ClassVar[dict[str, Param]] = {}
     _fields: ClassVar[tuple[str, ...]] = ()
+    _optional: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
         """Turn numbers into tensors and check shapes and dtypes (never tensor values: this runs inside graphs)."""
         for name, spec in self.params().items():
             raw = getattr(self, name)
+            where = f"{type(self).__name__}.{name}"
+            if raw is None and name not in self._optional:
+                raise TypeError(f"{where}: expected a number, list, array or tensor, found None")
             if raw is None:
                 continue
-            where = f"{type(self).__name__}.{name}"
             tensor = _to_tensor(raw, where, spec.kind)
             if spec.size is not None and tensor.shape[-1] != spec.size:
                 raise ValueError(f"{where}: expected shape [..., {spec.size}], found {list(tensor.shape)}{_shape_hint(tensor, spec)}")
@@ -90,11 +93,7 @@ class Value:
         channels = {n: t.shape[-1] for n, t, s in self.own_tensors() if s.size is None and t.shape[-1] != 1}
         if len(set(channels.values())) > 1:
             raise ValueError(f"{type(self).__name__}: colour parameters have different numbers of channels: {channels}; use one C, or 1")
-        shapes = {n: tuple(t.shape[:-1]) for n, t, _ in self.own_tensors()}
-        try:
-            _broadcast(*shapes.values())
-        except RuntimeError:
-            raise ValueError(f"{type(self).__name__}: batch shapes do not broadcast: {shapes}") from None
+        arguments.broadcast({n: tuple(t.shape[:-1]) for n, t, _ in self.own_tensors()}, f"{type(self).__name__}: batch shapes")
 
     def check(self) -> None:
         """Look at values that no range describes, such as a mesh's indices; nothing, unless a value says otherwise."""
@@ -118,7 +117,9 @@ class Value:
     @property
     def batch_shape(self) -> torch.Size:
         """Broadcast shape of all batch axes (everything but the trailing axis)."""
-        return _broadcast(*(t.shape[:-1] for _, t, _ in self.own_tensors()), *(v.batch_shape for v in self.nested()))
+        shapes = {n: t.shape[:-1] for n, t, _ in self.own_tensors()}
+        nested = {f"{k} {type(v).__name__}": v.batch_shape for k, v in enumerate(self.nested())}
+        return arguments.broadcast(shapes | nested, f"{type(self).__name__}: batch shapes")
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some fields changed."""
@@ -131,6 +132,8 @@ class Value:
     def to(self, *args: Any, **kwargs: Any) -> Self:
         """Like ``Tensor.to``; a floating dtype is applied to floating tensors only."""
         device, dtype, non_blocking, _ = torch._C._nn._parse_to(*args, **kwargs)
+        if dtype not in (None, *arguments.FLOATS):
+            raise TypeError(f"to: expected a floating dtype such as torch.float32, found {dtype}")
         return self.map(lambda t: t.to(device, dtype if t.is_floating_point() else None, non_blocking))
 
     def detach(self) -> Self:
@@ -166,14 +169,8 @@ class Value:
 
     def save(self, path: str | Path) -> None:
         """Write to a file that :func:`load_value` reads (tensors and plain data only; no code)."""
+        files.folder_of(path, "save")
         torch.save(self.detach().state(), path)
-
-
-def _broadcast(*shapes: Iterable[int]) -> torch.Size:
-    """``torch.broadcast_shapes``, which imports sympy when first called, where there is anything to broadcast."""
-    batched = [s for s in map(torch.Size, shapes) if len(s)]
-    alike = all(s == batched[0] for s in batched)
-    return torch.broadcast_shapes(*batched) if not alike else batched[0] if batched else torch.Size()
 
 
 def _shape_hint(t: Tensor, spec: Param) -> str:
@@ -213,6 +210,7 @@ def value(cls: type[T]) -> type[T]:
     """Class decorator: a frozen dataclass that is its own pytree node, known by name for saving and loading."""
     made: Any = dataclasses.dataclass(frozen=True, eq=False, repr=False)(cls)
     made._fields = tuple(f.name for f in dataclasses.fields(made))
+    made._optional = frozenset(f.name for f in dataclasses.fields(made) if f.default is None)
     made._params = {f.name: f.metadata["param"] for f in dataclasses.fields(made) if "param" in f.metadata}
     pytree.register_pytree_node(
         made,
@@ -273,7 +271,9 @@ def load_value(path: str | Path) -> Value:
 
 def validate(v: Value, _path: str = "") -> None:
     """Raise ``ValueError`` if any parameter of ``v``, or of a value inside it, is not finite or leaves its legal range."""
+    arguments.of_kind(v, "validate", Value, "tb.Lambert(albedo)")
     path = _path or type(v).__name__
+    v.check()
     for name, tensor, spec in v.own_tensors():
         if tensor.numel() and spec.kind == "float" and tensor.device.type != "meta":
             _check_range(f"{path}.{name}", tensor.detach(), spec.constraint)

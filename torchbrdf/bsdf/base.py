@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from .. import numerics, vector
+from .. import arguments, numerics, vector
 from ..geometry import Geometry
 from ..optics.fresnel import Fresnel
 from ..value import Value
@@ -130,12 +130,14 @@ class Bsdf(Value):
         self, wo: Tensor, u: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False
     ) -> BSDFSample:
         """Draw ``wi`` for ``wo`` from uniform ``u [..., 2]`` in [0, 1)."""
-        if u.shape[-1] != 2:
+        if arguments.floats(u, "u").shape[-1:] != (2,):
             raise ValueError(f"u: expected shape [..., 2] of numbers in [0, 1), found {list(u.shape)}")
-        check_same_kind(self, wo, "wo")
+        self._check_directions(u.shape[:-1], wo=wo, n=n, tangent=tangent)
+        if u.device != wo.device:
+            raise TypeError(f"u: on {u.device} beside wo on {wo.device}; convert it with .to(...)")
         wide = self.is_wide
-        wo_c = _take(wo, "wo", wide, assume_unit)
-        n_c, t_c = (_take_if(v, name, wide, assume_unit) for v, name in ((n, "n"), (tangent, "tangent")))
+        wo_c = _take(wo, wide, assume_unit)
+        n_c, t_c = (None if v is None else _take(v, wide, assume_unit) for v in (n, tangent))
         u_c = [numerics.widen(x.unsqueeze(-1) if wide else x) for x in u.unbind(-1)]
         if n_c is None:
             axes, local = None, wo_c
@@ -159,6 +161,9 @@ class Bsdf(Value):
         In closed form where there is one; else by a product quadrature of ``order^2`` nodes over the sampler's own unit
         square, where the integrand is ``sample(...).weight`` (error about 1e-3 at order 48, from the kink at the horizon).
         """
+        arguments.floats(wo, "wo", 3)
+        if not isinstance(order, int) or order < 1:
+            raise ValueError(f"order: expected the number of nodes along one side, a whole number >= 1, found {order!r}")
         x, weights = (t.to(numerics.working_dtype(wo.dtype)).to(wo.device) for t in gauss_legendre(order))
         azimuth = (torch.arange(order, dtype=x.dtype, device=x.device) + 0.5) / order
         u = torch.stack(torch.meshgrid(x, azimuth, indexing="ij"), -1).reshape(-1, 2)
@@ -188,14 +193,22 @@ class Bsdf(Value):
         self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, assume_unit: bool = False
     ) -> Geometry:
         """Check the directions against the parameters and take them apart."""
-        check_same_kind(self, wi, "wi")
-        for name, other in (("wo", wo), ("n", n), ("tangent", tangent)):
-            if other is not None and (other.dtype != wi.dtype or other.device != wi.device):
-                raise TypeError(f"{name}: {_kind(other)} beside wi: {_kind(wi)}; convert one with .to(...)")
+        self._check_directions(wi=wi, wo=wo, n=n, tangent=tangent)
         wide = self.is_wide
-        wi_c, wo_c = (_take(v, name, wide, assume_unit) for v, name in ((wi, "wi"), (wo, "wo")))
-        n_c, t_c = (_take_if(v, name, wide, assume_unit) for v, name in ((n, "n"), (tangent, "tangent")))
+        wi_c, wo_c = (_take(v, wide, assume_unit) for v in (wi, wo))
+        n_c, t_c = (None if v is None else _take(v, wide, assume_unit) for v in (n, tangent))
         return Geometry(wi_c, wo_c, n_c if n_c is not None else local_normal(wi_c), t_c, wide)
+
+    def _check_directions(self, u: tuple[int, ...] = (), **given: Tensor | None) -> None:
+        """Directions must be tensors ``[..., 3]`` of one dtype and device, that of the parameters, and broadcast with them."""
+        found = {name: arguments.floats(v, name, 3) for name, v in given.items() if v is not None or name in ("wi", "wo")}
+        first, reference = next(iter(found.items()))
+        check_same_kind(self, reference, first)
+        for name, v in found.items():
+            if v.dtype != reference.dtype or v.device != reference.device:
+                raise TypeError(f"{name}: {_kind(v)} beside {first}: {_kind(reference)}; convert one with .to(...)")
+        shapes = {name: tuple(v.shape[:-1]) for name, v in found.items()} | {"parameters": tuple(self.batch_shape), "u": tuple(u)}
+        arguments.broadcast(shapes, "batch shapes")
 
     def __add__(self, other: "Bsdf") -> "Bsdf":
         from .combine import Sum
@@ -228,13 +241,7 @@ def check_same_kind(v: Value, reference: Tensor, name: str) -> None:
         check_same_kind(inner, reference, name)
 
 
-def _take_if(v: Tensor | None, name: str, wide: bool, assume_unit: bool) -> Vec | None:
-    return None if v is None else _take(v, name, wide, assume_unit)
-
-
-def _take(v: Tensor, name: str, wide: bool, assume_unit: bool) -> Vec:
-    if v.shape[-1:] != (3,):
-        raise ValueError(f"{name}: expected shape [..., 3], found {list(v.shape)}")
+def _take(v: Tensor, wide: bool, assume_unit: bool) -> Vec:
     c = vector.components(numerics.widen(v))
     if not assume_unit:
         c = vector.normalize_components(c)

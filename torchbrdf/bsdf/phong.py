@@ -64,7 +64,7 @@ class Phong(Bsdf):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.normalization not in NORMALIZATIONS:
+        if not isinstance(self.normalization, str) or self.normalization not in NORMALIZATIONS:
             raise ValueError(f"Phong.normalization: found {self.normalization!r}, legal are {sorted(NORMALIZATIONS)}")
 
     def formula(self, g: Geometry) -> Channels:

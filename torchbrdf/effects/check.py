@@ -53,8 +53,9 @@ def check_mesh(mesh: Mesh | None) -> None:
 def _check_kinds(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
     """Parameters per pixel have the dtype and device of the pixels; lights follow in dtype, and from the CPU in device too."""
     at = g.position
-    for name, t in (("normal", g.normal), ("view", g.require_view())):
-        if t.dtype != at.dtype or t.device != at.device:
+    g.require_view()
+    for name, t, _ in g.own_tensors():
+        if t.device != at.device or (name in ("normal", "view", "tangent") and t.dtype != at.dtype):
             raise TypeError(f"GBuffer.{name}: {_kind(t)} beside position: {_kind(at)}; convert one with .to(...)")
     check_same_kind(bsdf, at, "the G-buffer's position")
     for light in lights:
@@ -84,9 +85,20 @@ def check_visibility(shadows: Tensor, lights: Sequence[Light], g: GBuffer) -> Te
             f"visibility: expected shape {[count, *pixels, 1]}, a row for each point and directional light, found {list(shadows.shape)}; "
             "compute it with tb.visibility(g, lights, mesh)"
         )
+    if shadows.is_complex():
+        raise TypeError(f"visibility: expected floats or bools, found {shadows.dtype}; convert it with .to(torch.float32)")
     if shadows.device != g.position.device:
         raise TypeError(f"visibility: on {shadows.device} beside a G-buffer on {g.position.device}; convert it with .to(...)")
     return shadows.to(g.position.dtype)
+
+
+def check_visible_share(shadows: Tensor) -> None:
+    """Visibility is the share of a light that arrives. Looks at values: not for graphs or transforms."""
+    if shadows.is_meta or not shadows.numel() or shadows.dtype == torch.bool or shadows.is_complex():
+        return
+    low, high = (float(x) for x in torch.aminmax(shadows.detach()))
+    if not (low >= 0 and high <= 1):
+        raise ValueError(f"visibility: legal range [0, 1], found min {low:g}, max {high:g}; compute it with tb.visibility(g, lights, mesh)")
 
 
 def expands_to(shape: torch.Size, full: torch.Size) -> bool:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .. import numerics, vector
+from .. import arguments, numerics, vector
 from ..value import Value
 from ..vector import Vec
 
@@ -64,7 +64,7 @@ class LocalLight(Light):
 
     def incident(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """``wi [L, ..., 3]``, unit, and the irradiance ``[L, ..., C]`` on a plane facing the light, at ``points [..., 3]``."""
-        at = vector.components(numerics.widen(points))
+        at = vector.components(numerics.widen(arguments.floats(points, "points", 3)))
         found = self.arrivals(at, wide=False)
         wi = torch.stack([_planes(a.wi, at.x) for a in found], 1)
         strength = torch.stack([_planes([c if a.falloff is None else c * a.falloff for c in a.colour], at.x) for a in found], 1)

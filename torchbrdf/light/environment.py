@@ -39,7 +39,7 @@ from typing import Any, NamedTuple, Self
 import torch
 from torch import Tensor
 
-from .. import numerics, vector
+from .. import arguments, numerics, vector
 from ..interval import NONNEGATIVE, REAL
 from ..pictures import read_image
 from ..value import param, value
@@ -74,12 +74,21 @@ class EnvironmentMap(Light):
     convention: str = "mitsuba"
 
     def check_shapes(self) -> None:
-        if self.convention not in ORIENTATIONS:
+        if not isinstance(self.convention, str) or self.convention not in ORIENTATIONS:
             raise ValueError(f"EnvironmentMap.convention: found {self.convention!r}, legal are {sorted(ORIENTATIONS)}")
         if self.texels.dim() != 3 or not self.texels.numel():
             raise ValueError(f"EnvironmentMap.texels: expected shape [Hm, Wm, C] with pixels in it, found {list(self.texels.shape)}")
         if self.to_world is not None and self.to_world.shape != (3, 3):
             raise ValueError(f"EnvironmentMap.to_world: expected a rotation matrix [3, 3], found {list(self.to_world.shape)}")
+
+    def check(self) -> None:
+        """``to_world`` must be a rotation, to the digits that matrices have in text files."""
+        if self.to_world is None or self.to_world.is_meta:
+            return
+        turn = self.to_world.detach().double().cpu()
+        away = (turn @ turn.T - torch.eye(3, dtype=turn.dtype)).abs().max()
+        if not away < math.sqrt(torch.finfo(torch.float32).eps) or torch.linalg.det(turn) < 0:
+            raise ValueError("EnvironmentMap.to_world: not a rotation; take the scale, or the mirroring, out of it")
 
     @classmethod
     def load(cls, path: str | Path, convention: str = "mitsuba", scale: float = 1.0, to_world: Tensor | None = None) -> Self:
@@ -87,6 +96,8 @@ class EnvironmentMap(Light):
 
         Errors as for ``tb.read_image``; negative or non-finite pixels, which are no radiance, raise ``ValueError``.
         """
+        if not (isinstance(scale, int | float) and 0 <= scale < math.inf):
+            raise ValueError(f"EnvironmentMap.load: scale: expected a finite number >= 0, found {scale!r}")
         pixels = read_image(path)
         texels = pixels[..., :3] * scale
         bad = int((~NONNEGATIVE.contains(texels)).sum())
@@ -106,9 +117,7 @@ class EnvironmentMap(Light):
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance ``[..., C]``, W/(m² sr), arriving from ``directions [..., 3]``, which point to the sky and need not be unit."""
-        if directions.shape[-1:] != (3,):
-            raise ValueError(f"directions: expected shape [..., 3], found {list(directions.shape)}")
-        if directions.device != self.texels.device:
+        if arguments.floats(directions, "directions", 3).device != self.texels.device:
             raise TypeError(
                 f"EnvironmentMap.texels: on {self.texels.device} beside directions on {directions.device}; move it with .to(...)"
             )

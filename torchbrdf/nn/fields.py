@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .. import vector
+from .. import arguments, vector
 from ..interval import REAL, Interval
 from ..scene.gbuffer import GBuffer
 
@@ -40,6 +40,8 @@ class Stored(Field):
         except (TypeError, ValueError, RuntimeError) as error:
             kind, found = type(self).__name__, type(init).__name__
             raise TypeError(f"{kind}: expected a number, list, array or tensor, found {found} ({error})") from None
+        if not start.numel() or start.is_complex():
+            raise ValueError(f"{type(self).__name__}: expected real numbers, one at least, found {start.dtype} {list(start.shape)}")
         keeps = isinstance(init, Tensor) and init.is_floating_point()  # numbers, lists and arrays take torch's default dtype
         start = start.to(start.dtype if keeps else torch.get_default_dtype(), copy=True)
         start = start.reshape(1) if start.dim() == 0 else start
@@ -56,7 +58,7 @@ class Stored(Field):
                 served = f"{self._serves}, whose range is {self.constraint}"
                 raise ValueError(f"{where}: its range is {constraint}, but this field already serves {served}; give each its own field")
             return
-        if not bool(constraint.contains(self.raw.detach()).all()):
+        if not self.raw.is_meta and not bool(constraint.contains(self.raw.detach()).all()):
             found = f"min {self.raw.min():g}, max {self.raw.max():g}"
             raise ValueError(f"{where}: the field starts outside the legal range {constraint} ({found}); start it inside")
         if self.learned:
@@ -102,10 +104,18 @@ class PerMaterial(Stored):
             raise ValueError(f"PerMaterial.table: expected shape [M, C], a row for each material id, found {list(self.raw.shape)}")
 
     def forward(self, g: GBuffer) -> Tensor:
+        arguments.of_kind(g, "g", GBuffer, "tb.GBuffer.from_mesh(mesh, camera)")
         if g.material is None:
             raise ValueError("PerMaterial: this G-buffer has no material ids; load a mesh with material= per face, or use tb.nn.Learned")
         ids = g.material.squeeze(-1).clamp_min(0)
+        self._check_ids(ids)
         return vector.stack([column.index_select(0, ids.reshape(-1)).reshape(ids.shape) for column in self.value.unbind(-1)])
+
+    def _check_ids(self, ids: Tensor) -> None:
+        """Where values can be looked at; elsewhere an id beyond the table ends in an index error of torch."""
+        if not arguments.hidden(ids) and ids.numel() and int(ids.amax()) >= self.raw.shape[0]:
+            rows = self.raw.shape[0]
+            raise ValueError(f"PerMaterial.table: {rows} rows serve the ids 0 to {rows - 1}, found id {int(ids.amax())}; give it more rows")
 
 
 class Channel(Field):
@@ -113,6 +123,8 @@ class Channel(Field):
 
     def __init__(self, field: Field, i: int) -> None:
         super().__init__()
+        if not isinstance(field, nn.Module) or not isinstance(i, int):
+            raise TypeError(f"Channel: expected a field and the number of a channel, found {type(field).__name__} and {i!r}")
         self.field, self.i = field, i
 
     def bind(self, constraint: Interval, where: str) -> None:

@@ -21,6 +21,8 @@ class Material(nn.Module):
 
     def __init__(self, model: type[Value], **parameters: Any) -> None:
         super().__init__()
+        if not (isinstance(model, type) and issubclass(model, Value)):
+            raise TypeError(f"Material: expected a model (a class such as tb.Lambert), found {_name(model)}")
         self.model = model
         self.fixed: dict[str, Any] = {}
         self._check_names(set(parameters))
@@ -63,6 +65,8 @@ class MaterialSum(nn.Module):
 
     def __init__(self, *terms: nn.Module) -> None:
         super().__init__()
+        if not terms or not all(isinstance(t, nn.Module) for t in terms):
+            raise TypeError(f"MaterialSum: expected one material or more, found {list(map(_name, terms))}")
         self.terms = nn.ModuleList(terms)
 
     def forward(self, g: GBuffer) -> Bsdf:
@@ -72,3 +76,7 @@ class MaterialSum(nn.Module):
 
     def __add__(self, other: nn.Module) -> "MaterialSum":
         return MaterialSum(*self.terms, other)
+
+
+def _name(x: Any) -> str:
+    return repr(x) if isinstance(x, str | int | float | None) else type(x).__name__

@@ -2,6 +2,7 @@
 
 from torch import Tensor, nn
 
+from .. import arguments
 from ..planning import Lights, Plan
 from ..scene.gbuffer import GBuffer
 
@@ -16,6 +17,8 @@ class Shader(nn.Module):
 
     def __init__(self, material: nn.Module, plan: Plan) -> None:
         super().__init__()
+        arguments.of_kind(material, "material", nn.Module, "tb.nn.Material(tb.Lambert, albedo=...)")
+        arguments.of_kind(plan, "plan", Plan, "tb.plan(g, material(g), lights)")
         self.material, self.plan = material, plan
 
     def forward(self, g: GBuffer, lights: Lights, visibility: Tensor | None = None, per_light: bool = False) -> Tensor:

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import numerics, vector
+from .. import arguments, numerics, vector
 from ..scene.gbuffer import GBuffer
 from .fields import Stored
 
@@ -34,6 +34,7 @@ class Texture(Stored):
         self.srgb, self.wrap = srgb, wrap
 
     def forward(self, g: GBuffer) -> Tensor:
+        arguments.of_kind(g, "g", GBuffer, "tb.GBuffer.from_mesh(mesh, camera)")
         if g.uv is None:
             raise ValueError("Texture: this G-buffer has no uv; give the mesh texture coordinates, or use tb.nn.Learned")
         return self.at(g.uv)
@@ -55,6 +56,7 @@ class Texture(Stored):
         range of the texels, not even by a rounding.
         """
         height, width, _ = self.raw.shape
+        arguments.floats(uv, "uv", 2)
         u, v = (numerics.widen(c) for c in uv.unbind(-1))
         left, right, fx = self._neighbours(u * width - 0.5, width)
         top, bottom, fy = self._neighbours((1.0 - v) * height - 0.5, height)

@@ -53,10 +53,14 @@ def index_at(metal: str, wavelengths_um: Iterable[float]) -> tuple[list[float], 
 
     Raises ``ValueError`` for a metal that has no table and for a wavelength outside of it: nothing is extrapolated.
     """
-    if metal not in tables():
+    if not isinstance(metal, str) or metal not in tables():
         raise ValueError(f"metal: found {metal!r}, known are {sorted(tables())}; give Conductor(eta, k) the numbers of others")
     rows = tables()[metal]["rows"]
-    pairs = [_between(rows, float(w), metal) for w in wavelengths_um]
+    try:
+        wanted = [float(w) for w in wavelengths_um]
+    except (TypeError, ValueError):
+        raise TypeError(f"wavelengths_um: expected numbers in micrometres such as (0.65, 0.55, 0.45), found {wavelengths_um!r}") from None
+    pairs = [_between(rows, w, metal) for w in wanted]
     return [n for n, _ in pairs], [k for _, k in pairs]
 
 

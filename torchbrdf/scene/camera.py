@@ -22,12 +22,13 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
-from .. import vector
+from .. import arguments, vector
 from ..interval import REAL, Interval
 from ..value import Value, param, value
 from ..vector import Vec, components, cross, dot, stack
 
 FOCAL = Interval(0.0, open_low=True, typical=(10.0, 1000.0))
+MOST_PIXELS = 1 << 28  # a G-buffer of so many takes some 50 GB; a file may claim any size
 # Sign of the camera's y and z axes beside (down, forward).
 CONVENTIONS = {"opencv": 1.0, "opengl": -1.0, "blender": -1.0}
 
@@ -56,11 +57,14 @@ class Camera(Value):
         pixels are square. Not smooth (an error where values can be seen) for ``eye == target`` and for ``up`` along the view.
         """
         eye, target, up = (_floats(x, name) for x, name in ((eye, "eye"), (target, "target"), (up, "up")))
+        arguments.broadcast({n: x.shape[:-1] for n, x in (("eye", eye), ("target", target), ("up", up))}, "look_at: batch shapes")
         forward = vector.normalize_components(vector.subtract(components(target), components(eye)))
         right = vector.normalize_components(cross(forward, components(up)))
         _check_look_at(stack(forward), stack(right))
         height, width = _image_size(size)
         angle = _floats(fov_y, "fov_y").to(eye.device)
+        if angle.shape[-1:] != (1,):
+            raise ValueError(f"look_at: fov_y: expected a number or shape [..., 1], found {list(angle.shape)}")
         if not _all((angle > 0) & (angle < 180)):
             raise ValueError(
                 f"look_at: fov_y is the full vertical angle in degrees and lies in (0, 180), found {angle.detach().flatten()[:4].tolist()}"
@@ -78,7 +82,7 @@ class Camera(Value):
         ``convention`` names the camera axes: "opencv", "opengl" or "blender" (above). K always counts pixels from the top left
         *corner*; a calibration that puts (0, 0) at the centre of the first pixel, as OpenCV's does, needs +0.5 on cx and cy.
         """
-        if convention not in CONVENTIONS:
+        if not isinstance(convention, str) or convention not in CONVENTIONS:
             raise ValueError(f"from_matrix: unknown convention {convention!r}, legal are {sorted(CONVENTIONS)}")
         k, pose = _floats(K, "K"), _floats(world_to_camera, "world_to_camera")
         _check_matrices(k, pose)
@@ -108,6 +112,7 @@ class Camera(Value):
         The batch axes of the camera are the leading ones of ``points``. Points with depth <= 0 lie behind the camera; at
         depth 0 the pixel is not finite.
         """
+        arguments.floats(points, "points", 3)
         batch = len(self.batch_shape)
         extra = max(points.dim() - 1 - batch, 0)
 
@@ -128,10 +133,12 @@ def _image_size(size: Any) -> tuple[int, int]:
     try:
         sides = tuple(int(s) for s in size)
         whole = all(a == b for a, b in zip(sides, size, strict=True))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         sides, whole = (), False
     if len(sides) != 2 or not whole or min(sides) < 1:
         raise ValueError(f"Camera.size: expected (height, width), two positive whole numbers, found {size!r}")
+    if sides[0] * sides[1] > MOST_PIXELS:
+        raise ValueError(f"Camera.size: found {size!r}, more than {MOST_PIXELS} pixels; take tiles, by moving the principal point")
     return sides
 
 
@@ -140,7 +147,7 @@ def _floats(x: Any, name: str) -> Tensor:
         t = x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=None if hasattr(x, "dtype") else torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:
         raise TypeError(f"{name}: expected numbers, an array or a tensor, found {type(x).__name__} ({error})") from None
-    t = t if t.is_floating_point() else t.to(torch.float64)
+    t = arguments.floats(t if t.is_floating_point() or t.is_complex() else t.to(torch.float64), name)
     if name in ("eye", "target", "up") and t.shape[-1:] != (3,):
         raise ValueError(f"look_at: {name}: expected shape [..., 3], found {list(t.shape)}")
     return t.reshape(1) if t.dim() == 0 else t
@@ -148,8 +155,7 @@ def _floats(x: Any, name: str) -> Tensor:
 
 def _all(condition: Tensor) -> bool:
     """Whether a condition holds everywhere; True where values cannot be looked at (inside transforms and graphs)."""
-    hidden = torch.compiler.is_compiling() or torch._C._functorch.is_functorch_wrapped_tensor(condition)
-    return hidden or bool(condition.all())
+    return arguments.hidden(condition) or bool(condition.all())
 
 
 def _check_look_at(forward: Tensor, right: Tensor) -> None:
@@ -166,6 +172,11 @@ def _check_matrices(k: Tensor, pose: Tensor) -> None:
         raise ValueError(f"from_matrix: K: expected shape [..., 3, 3], found {list(k.shape)}")
     if pose.shape[-2:] not in ((4, 4), (3, 4)):
         raise ValueError(f"from_matrix: world_to_camera: expected shape [..., 4, 4] or [..., 3, 4], found {list(pose.shape)}")
+    if not _all(torch.isfinite(k).all(-1).all(-1)) or not _all(torch.isfinite(pose).all(-1).all(-1)):
+        raise ValueError("from_matrix: K or world_to_camera holds numbers that are not finite")
+    if not _all((k[..., 0, 0] > 0) & (k[..., 1, 1] > 0)):
+        found = [k.detach()[..., i, i].flatten()[0].item() for i in (0, 1)]
+        raise ValueError(f"from_matrix: K: the focal lengths K[0, 0] and K[1, 1] are pixels > 0, found {found}; turn the axes instead")
     if not _all(k[..., 0, 1] == 0):
         raise ValueError("from_matrix: K has skew (K[0, 1] is not 0), which this camera lacks; undistort the images to square axes")
     turn = pose[..., :3, :3].detach()

@@ -25,7 +25,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import vector
+from .. import arguments, vector
 from ..pictures import read_exr, write_exr
 from .camera import Camera
 from .gbuffer import GBuffer
@@ -67,6 +67,10 @@ def load_gbuffer(path: str | Path, camera: Camera | None = None, names: Mapping[
     stored. ``names`` says which layer is which field, as in ``{"position": "P"}``. A file without normals, or without
     positions and the means to make them, a camera of another size and an ambiguous name are each one ``ValueError``.
     """
+    if camera is not None:
+        arguments.of_kind(camera, "camera", Camera, "tb.Camera.look_at(eye, target, up)")
+    if not (names is None or isinstance(names, Mapping)):
+        raise TypeError(f"names: expected a dictionary such as {{'position': 'P'}}, found {type(names).__name__}")
     layers = read_exr(path)
     groups = group(layers)
     flat = layers.get("", {})

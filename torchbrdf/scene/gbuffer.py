@@ -6,9 +6,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import vector
+from .. import arguments, vector
 from ..interval import REAL, Interval
-from ..value import Value, param, value
+from ..value import Value, param, validate, value
 from .camera import Camera
 from .mesh import Mesh
 
@@ -44,6 +44,10 @@ class GBuffer(Value):
         """
         from .intersect import gbuffer_fields
 
+        arguments.of_kind(mesh, "mesh", Mesh, "tb.load_mesh(path)")
+        validate(arguments.of_kind(camera, "camera", Camera, "tb.Camera.look_at(eye, target, up)"))
+        if any(t.is_meta for _, t, _ in camera.own_tensors()):
+            raise TypeError("camera: on the meta device, where there are no values; move it with .to(...)")
         return GBuffer(**gbuffer_fields(mesh, camera))
 
     @property

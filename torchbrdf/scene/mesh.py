@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .. import arguments, files
 from ..interval import REAL, Interval
 from ..value import Value, param, value
 from .vertex_normals import angle_weighted
@@ -50,6 +51,8 @@ class Mesh(Value):
 
     def check(self) -> None:
         """Raise ``ValueError`` if a vertex is not finite or an index points outside. Looks at values: not for graphs or transforms."""
+        if self.vertices.is_meta or self.faces.is_meta:
+            raise TypeError("Mesh.vertices: on the meta device, where there are no values; move the mesh with .to(...)")
         bad = int((~torch.isfinite(self.vertices)).any(-1).sum())
         if bad:
             raise ValueError(
@@ -63,6 +66,8 @@ class Mesh(Value):
                     raise ValueError(
                         f"Mesh.{name}: legal are 0 to {table.shape[0] - 1} ({what} has {table.shape[0]} rows), found {low} to {high}"
                     )
+        if self.material is not None and int(self.material.amin()) < 0:
+            raise ValueError(f"Mesh.material: ids count from 0, found {int(self.material.amin())}")
 
     @property
     def batch_shape(self) -> torch.Size:
@@ -74,6 +79,8 @@ class Mesh(Value):
 
     def shading_normals(self) -> Tensor:
         """The given normals, or angle-weighted ones (differentiable w.r.t. the vertices), ``[V, 3]``."""
+        if not arguments.hidden(self.vertices, self.faces):
+            self.check()
         return angle_weighted(self.vertices, self.faces) if self.normals is None else self.normals
 
 
@@ -89,7 +96,7 @@ def load_mesh(path: str | Path) -> Mesh:
     """
     from .mesh_file import read_mesh
 
-    fields = read_mesh(Path(path))
+    fields = read_mesh(files.existing(path, "load_mesh"))
     try:
         mesh = Mesh(**fields)
         mesh.check()

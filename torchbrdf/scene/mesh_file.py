@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .. import files
 from .mesh_source import placed_geometries
 
 
@@ -20,7 +19,7 @@ class Part(NamedTuple):
 
 def read_mesh(path: Path) -> dict[str, Any]:
     """The fields of a :class:`Mesh` (numpy arrays) from a file; scenes are put together into one mesh."""
-    parts = _parts(files.existing(path, "load_mesh"))
+    parts = _parts(path)
     if not parts:
         raise ValueError(f"load_mesh: {path} holds no faces (a point cloud, or lines); export it as a triangle mesh")
     counts = [len(p.vertices) for p in parts]

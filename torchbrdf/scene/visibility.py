@@ -17,7 +17,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import vector
+from .. import arguments, vector
+from ..value import Value
 from ..vector import components, dot, stack
 from .gbuffer import GBuffer
 from .intersect import gather_vectors
@@ -38,7 +39,8 @@ def visibility(g: GBuffer, lights: Any, mesh: Mesh) -> Tensor:
     Pixels that are not valid get 0. Where ``g`` has no geometric normal, the mesh gives it by ``g.triangle``, or else the shading
     normal serves.
     """
-    caster = caster_of(mesh)
+    arguments.of_kind(g, "g", GBuffer, "tb.GBuffer.from_mesh(mesh, camera)")
+    caster = caster_of(arguments.of_kind(mesh, "mesh", Mesh, "tb.load_mesh(path)"))
     normal = _facing_normal(g, mesh)
     offset = offset_bound(g.position, normal, caster)
     rows = [_row(g, normal, offset, *target, caster) for target in _targets(lights, g.position)]
@@ -60,7 +62,9 @@ def gamma(roundings: int, dtype: torch.dtype) -> float:
 
 def _targets(lights: Any, points: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
     """(direction, distance) of every single light that stands in one direction."""
-    for light in lights if isinstance(lights, Sequence) else (lights,):
+    for k, light in enumerate(lights if isinstance(lights, Sequence) else (lights,)):
+        if light is None or isinstance(light, int | float | str | Tensor | Sequence):
+            arguments.of_kind(light, f"lights[{k}]", Value, "tb.PointLight(position, intensity)")
         if hasattr(light, "shadow_targets"):
             direction, distance = light.shadow_targets(points)
             yield from zip(direction.unbind(0), distance.unbind(0), strict=True)
@@ -76,6 +80,9 @@ def _facing_normal(g: GBuffer, mesh: Mesh) -> Tensor:
 
 
 def _face_normals(mesh: Mesh, triangle: Tensor) -> Tensor:
+    if triangle.numel() and int(triangle.amax()) >= mesh.faces.shape[0]:
+        found = f"found {int(triangle.amax())}, and the mesh has {mesh.faces.shape[0]} faces"
+        raise ValueError(f"GBuffer.triangle: {found}; pass the mesh that the G-buffer was made from")
     faces = mesh.faces[triangle.clamp_min(0)].to(torch.int64)
     a, b, c = (gather_vectors(mesh.vertices, i) for i in faces.unbind(-1))
     return stack(vector.normalize_components(vector.cross(vector.subtract(b, a), vector.subtract(c, a))))
