@@ -5,7 +5,7 @@ import numpy as np
 import oracle
 import pytest
 import torch
-from stability import bounds, dual, measure, report, rivals
+from stability import bounds, curvature, dual, measure, report, rivals
 from stability.case import POINTS, Draw
 from stability.cases import CASES
 
@@ -47,10 +47,24 @@ def test_fusion_undoes_nothing(batch, dtype):
         assert bounds.violations(fused, case.error, case.vectors, dtype) == [], case.name
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("batch", list(report.batches(CASES)), ids=lambda b: b[0].name)
+def test_fusion_keeps_second_derivatives(batch):
+    pairs = zip(batch, *(curvature.run(batch, torch.float32, compiled=c) for c in (True, False)), strict=True)
+    assert {case.name: bounds.bent(fused, eager, torch.float32) for case, fused, eager in pairs} == {case.name: [] for case in batch}
+
+
+@pytest.mark.parametrize("name", ["Phong", "Blinn-Phong"])
+def test_lobes_from_vectors(name):
+    assert measure.run(BY_NAME[name], torch.float32, second=False).value_everyday <= bounds.PHONG_FROM_VECTORS
+
+
 def test_every_formula_is_measured():
     covered = {name for case in CASES for name in case.covers}
     functions = [f"{module}.{name}" for module in ("fresnel", "microfacet") for name in getattr(tb, module).__all__]
-    assert {*functions, *BSDFS, *FRESNEL_TERMS, *HARD} <= covered, "a formula joins with its oracle and its hard cases: tests/stability/cases"
+    assert {*functions, *BSDFS, *FRESNEL_TERMS, *HARD} <= covered, (
+        "a formula joins with its oracle and its hard cases: tests/stability/cases"
+    )
 
 
 @pytest.mark.parametrize("dtype", report.DTYPES, ids=report.name_of)
@@ -96,7 +110,9 @@ def test_second_derivatives_of_the_oracle():
         assert abs(f.parts[j].parts[0][0] - (up[j][0] - down[j][0]) / (2 * h)) < 1e-60
 
 
-@pytest.mark.parametrize("name", [n for n in rivals.TEXTBOOK if n not in ("fresnel.schlick", "microfacet.beckmann_g1", "microfacet.ggx_g1")])
+@pytest.mark.parametrize(
+    "name", [n for n in rivals.TEXTBOOK if n not in ("fresnel.schlick", "microfacet.beckmann_g1", "microfacet.ggx_g1")]
+)
 def test_the_bounds_refuse_the_textbook(name):
     """They are no formality: competent textbook code breaks them on the same points."""
     case = BY_NAME[name]
@@ -104,7 +120,12 @@ def test_the_bounds_refuse_the_textbook(name):
 
 
 FAULTS = {
-    "g^2 without compensation": (numerics, "eta2_minus_sin2", lambda c, n, *_, **__: (n - 1) * (n + 1) + c * c, "fresnel.refraction_cosine"),
+    "g^2 without compensation": (
+        numerics,
+        "eta2_minus_sin2",
+        lambda c, n, *_, **__: (n - 1) * (n + 1) + c * c,
+        "fresnel.refraction_cosine",
+    ),
     "a square root capped": (numerics, "safe_sqrt", lambda x, least=0.0: torch.sqrt(x.clamp_min(1e-8)), "Geometry"),
     "a dot product rounded": (numerics, "sum_of_products", lambda *p: (sum(x * y for x, y in p), torch.zeros(())), "refract"),
     "a lobe not flushed but cut": (numerics, "flushed_exp", lambda x: torch.exp(x.clamp_min(-20)), "Phong lobe (modified)"),

@@ -5,6 +5,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from stability.report import main  # noqa: E402
+from stability.report import main
 
 sys.exit(main())

@@ -6,6 +6,7 @@ relative to the slope or to the value, whichever is larger.
 
 import torch
 
+from .curvature import Curvature
 from .measure import Figures
 
 SINGLE, DOUBLE, HALVES = torch.float32, torch.float64, (torch.bfloat16, torch.float16)
@@ -66,7 +67,20 @@ def violations(figures: Figures, error: str, vectors: bool, dtype: torch.dtype) 
 
 def undone(compiled: Figures, eager: Figures, error: str) -> list[str]:
     """What compiling made more than twice as bad, in words."""
-    pairs = [("value at p99.9", compiled.p999, eager.p999, NOISE if error == "ulp" else 0.0), ("worst value", compiled.worst, eager.worst, NOISE)]
+    pairs = [
+        ("value at p99.9", compiled.p999, eager.p999, NOISE if error == "ulp" else 0.0),
+        ("worst value", compiled.worst, eager.worst, NOISE),
+    ]
     if compiled.slope_everyday is not None and eager.slope_everyday is not None:
         pairs.append(("everyday slope", compiled.slope_everyday, eager.slope_everyday, 0.0))
     return [f"{what}: {c:.3g}, eagerly {e:.3g}" for what, c, e, noise in pairs if not c <= COMPILED * max(e, noise)]
+
+
+def bent(compiled: Curvature, eager: Curvature, dtype: torch.dtype) -> list[str]:
+    """The same of second derivatives, whose own bounds they must meet, too."""
+    if compiled.worst is None or eager.worst is None:
+        return []
+    found = [f"{compiled.not_finite} second derivatives not finite"] if compiled.not_finite > eager.not_finite + SECONDS_NOT_FINITE else []
+    if not compiled.worst <= min(SECOND[dtype], COMPILED * max(eager.worst, torch.finfo(dtype).eps)):
+        found.append(f"everyday second derivative: {compiled.worst:.3g}, eagerly {eager.worst:.3g}")
+    return found

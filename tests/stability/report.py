@@ -5,15 +5,22 @@ from pathlib import Path
 
 import torch
 
-from . import bounds, measure, rivals
+from . import bounds, curvature, measure, rivals, truth
 from .case import Case
 from .cases import CASES
+from .curvature import Curvature
 from .measure import Figures
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "stability.md"
 DTYPES = (torch.float32, torch.float64, torch.bfloat16, torch.float16)
 BATCH = 8  # formulas compiled together
-UNITS = {"ulp": "ulp", "length": "ulp of the length", "scale": "ulp of 1", "exp": "(4 + 2&#124;ln&#124;) eps", "backward": "input roundings"}
+UNITS = {
+    "ulp": "ulp",
+    "length": "ulp of the length",
+    "scale": "ulp of 1",
+    "exp": "(4 + 2&#124;ln&#124;) eps",
+    "backward": "input roundings",
+}
 
 
 def name_of(dtype: torch.dtype) -> str:
@@ -27,8 +34,8 @@ def batches(cases: tuple[Case, ...]) -> Iterator[tuple[Case, ...]]:
 
 def forget() -> None:
     """The truths of one dtype take about a gigabyte."""
-    measure.truth_of.cache_clear()
-    measure.second_truth.cache_clear()
+    truth.truth_of.cache_clear()
+    truth.second_truth.cache_clear()
 
 
 def figure(x: float | None) -> str:
@@ -84,13 +91,46 @@ def compiled(dtype: torch.dtype, device: str) -> dict[str, Figures]:
     return found
 
 
-def compiled_row(case: Case, c: Figures, e: Figures) -> list[str]:
+def curved(dtype: torch.dtype, device: str, compile_too: bool) -> dict[str, Curvature]:
+    """Second derivatives along one direction, of every formula; not of half types."""
+    from tqdm import tqdm
+
+    if dtype in bounds.HALVES:
+        return {case.name: Curvature(0, None) for case in CASES}
+    found: dict[str, Curvature] = {}
+    for batch in tqdm(list(batches(CASES)), f"{name_of(dtype)}, {'compiled' if compile_too else 'eager'}, second derivatives"):
+        found |= dict(zip((c.name for c in batch), curvature.run(batch, dtype, device, compile_too), strict=True))
+    return found
+
+
+def compiled_row(case: Case, c: Figures, e: Figures, second: Curvature, second_eager: Curvature) -> list[str]:
     """Compiled beside eager."""
-    bad = f"{c.values_not_finite}/{c.slopes_not_finite}"
-    return [case.name, bad, f"{c.negative}/{c.above_one}", *(figure(x) for x in (c.p999, e.p999, c.worst, e.worst, c.slope_everyday, e.slope_everyday))]
+    bad = f"{c.values_not_finite}/{c.slopes_not_finite}/{second.not_finite}"
+    pairs = [(c.p999, e.p999), (c.worst, e.worst), (c.slope_everyday, e.slope_everyday), (second.worst, second_eager.worst)]
+    return [case.name, bad, f"{c.negative}/{c.above_one}", *(f"{figure(x)} ({figure(y)})" for x, y in pairs)]
 
 
-COMPILED_HEAD = ["formula", "not finite: value/slope", "below 0/above 1", "p99.9", "eagerly", "max", "eagerly", "slope", "eagerly"]
+COMPILED_HEAD = [
+    "formula",
+    "not finite: value/slope/second",
+    "below 0/above 1",
+    "p99.9 (eager)",
+    "max (eager)",
+    "slope (eager)",
+    "second (eager)",
+]
+
+
+def compiled_part(dtype: torch.dtype, device: str, figures: dict[str, Figures]) -> tuple[list[str], list[str]]:
+    """The table, and what does not hold."""
+    fused, twice, twice_eager = compiled(dtype, device), curved(dtype, device, True), curved(dtype, device, False)
+    rows = [compiled_row(c, fused[c.name], figures[c.name], twice[c.name], twice_eager[c.name]) for c in CASES]
+    broken = []
+    for c in CASES:
+        found = bounds.undone(fused[c.name], figures[c.name], c.error) + bounds.violations(fused[c.name], c.error, c.vectors, dtype)
+        found += bounds.bent(twice[c.name], twice_eager[c.name], dtype)
+        broken += [f"{name_of(dtype)}, compiled, {c.name}: {v}" for v in found]
+    return [f"### {name_of(dtype)}, compiled", table(COMPILED_HEAD, rows)], broken
 
 
 def rival_rows(ours: dict[str, Figures]) -> Iterator[list[str]]:
@@ -105,7 +145,12 @@ def rival_rows(ours: dict[str, Figures]) -> Iterator[list[str]]:
         for who, f in found.items() if len(found) > 1 else ():
             slopes = who == "torchbrdf" or case.name not in rivals.OTHER_ARGUMENTS
             not_finite = f"{f.values_not_finite}/{f.slopes_not_finite if slopes else '–'}"
-            errors = [figure(f.p999), figure(f.worst), figure(f.slope_everyday if slopes else None), f"{100 * f.slopes_bad:.2f} %" if slopes else "–"]
+            errors = [
+                figure(f.p999),
+                figure(f.worst),
+                figure(f.slope_everyday if slopes else None),
+                f"{100 * f.slopes_bad:.2f} %" if slopes else "–",
+            ]
             yield [case.name if who == "torchbrdf" else "", who, not_finite, f"{f.negative}/{f.above_one}", *errors]
 
 
@@ -114,7 +159,10 @@ RIVAL_HEAD = ["formula", "", "not finite: value/slope", "below 0/above 1", "p99.
 
 def worst_of(figures: Iterable[Figures]) -> str:
     """Totals of what must be 0."""
-    counts = [sum(getattr(f, k) for f in figures) for k in ("values_not_finite", "slopes_not_finite", "seconds_not_finite", "negative", "above_one")]
+    counts = [
+        sum(getattr(f, k) for f in figures)
+        for k in ("values_not_finite", "slopes_not_finite", "seconds_not_finite", "negative", "above_one")
+    ]
     return " / ".join(map(str, counts))
 
 
@@ -128,13 +176,12 @@ def measure_all(device: str, compile_too: bool, write: bool) -> int:
         if dtype == torch.float32:
             parts[:0] = ["## Side by side", RIVALS, table(RIVAL_HEAD, rival_rows(figures))]
         if compile_too:
-            fused = compiled(dtype, device)
-            parts += [f"### {name_of(dtype)}, compiled", table(COMPILED_HEAD, (compiled_row(c, fused[c.name], figures[c.name]) for c in CASES))]
-            broken += [f"{name_of(dtype)}, compiled, {c.name}: {v}" for c in CASES for v in bounds.undone(fused[c.name], figures[c.name], c.error)]
-            broken += [f"{name_of(dtype)}, compiled, {c.name}: {v}" for c in CASES for v in bounds.violations(fused[c.name], c.error, c.vectors, dtype)]
+            more, failed = compiled_part(dtype, device, figures)
+            parts += more
+            broken += failed
         forget()
     verdict = "Every bound holds." if not broken else "Bounds that do not hold:\n\n" + "\n".join(f"- {b}" for b in broken)
-    text = "\n\n".join([HEAD.format(points=sum(10_000 for _ in CASES), formulas=len(CASES)), verdict, *parts]) + "\n"
+    text = "\n\n".join([HEAD.format(formulas=len(CASES)), verdict, *parts]) + "\n"
     print(text)
     if write:
         PAGE.write_text(text, encoding="utf-8")
@@ -159,7 +206,7 @@ and of lat-long maps; 1e6 times 1e-12.
 be negative values and reflectances above 1. **p99.9** and **max** are errors of the value, in the unit of its row: *ulp* of the result itself; *of the length*
 of a vector of results; *of 1*, for sums of products of that size; *(4 + 2|ln|) eps*, what an exponential may lose f/f_peak far below its peak; *input
 roundings*, what rounding every direction and parameter once may change, eps (|f| + Σ|x||∂f/∂x|). **Slope** and **second** are the largest errors of
-derivatives on everyday ranges, relative to the derivative or the value, whichever is larger (from vectors: to the length of the gradient); half types round
+derivatives on everyday ranges (compiled, *second* is the Hessian times (1, …, 1), by forward over reverse), relative to the derivative or the value, whichever is larger (from vectors: to the length of the gradient); half types round
 the slope itself. **Excluded points** are counted by reason; together they must stay below 1 %.
 
 | what must hold | bound |

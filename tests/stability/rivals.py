@@ -10,7 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from .case import Case
-from .measure import Figures, compare, truth_of
+from .measure import Figures, compare, run
+from .truth import truth_of
 
 # ---- textbook: what shading code in torch commonly says, with its usual clamps
 
@@ -138,7 +139,6 @@ def _mitsuba_formulas(mi: Any, dr: Any) -> dict[str, Callable[..., list[Any]]]:
 
 def textbook(case: Case, dtype: torch.dtype) -> Figures:
     """Figures of the textbook's form on the case's grid."""
-    from .measure import run
 
     return run(case, dtype, TEXTBOOK[case.name], second=False)
 
@@ -166,4 +166,6 @@ def mitsuba_figures(case: Case, formula: Callable[..., list[Any]]) -> Figures:
         dr.enable_grad(c)
     outs = formula(*columns)
     dr.backward(dr.sum(outs[0]))
-    return compare(case, torch.float32, [np.array(o, dtype=np.float64) for o in outs], [np.array(c.grad, dtype=np.float64) for c in columns], None)
+    return compare(
+        case, torch.float32, [np.array(o, dtype=np.float64) for o in outs], [np.array(c.grad, dtype=np.float64) for c in columns], None
+    )

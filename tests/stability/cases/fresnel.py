@@ -1,10 +1,11 @@
 """Fresnel's laws: truth by the complex amplitudes, or by the textbook's real ones; grids that meet the critical angle to the ulp."""
 
 import numpy as np
+
 from torchbrdf.optics import fresnel
 
 from ..case import Case, Draw
-from ..dual import Dual, plain, sqrt, where
+from ..dual import plain, sqrt, where
 
 UNIT = (0.05, 1.0)  # everyday cosines; everyday indices are the typical ones of the declarations
 
@@ -81,11 +82,15 @@ def etas(draw: Draw) -> list[float]:
 
 
 def eta_bulk(draw: Draw):
-    return lambda n: np.where(draw.rng.integers(0, 3, n) > 0, draw.spread(n, 0.25, 4.0), 1 + draw.rng.choice([-1, 1], n) * draw.spread(n, 1e-6, 0.5))
+    return lambda n: np.where(
+        draw.rng.integers(0, 3, n) > 0, draw.spread(n, 0.25, 4.0), 1 + draw.rng.choice([-1, 1], n) * draw.spread(n, 1e-6, 0.5)
+    )
 
 
 def dielectric_grid(draw: Draw) -> np.ndarray:
-    special = np.concatenate([draw.product(draw.cosines(), etas(draw)), critical(draw, [1e-2, 0.25, 0.4, 0.5, 2 / 3, 0.75, 0.95, 0.999, 1 - 1e-4])])
+    special = np.concatenate(
+        [draw.product(draw.cosines(), etas(draw)), critical(draw, [1e-2, 0.25, 0.4, 0.5, 2 / 3, 0.75, 0.95, 0.999, 1 - 1e-4])]
+    )
     return draw.fill(special, draw.cosine_bulk, eta_bulk(draw))
 
 
@@ -113,7 +118,9 @@ def at_threshold(x):
 
 def everyday_dielectric(x):
     g2 = (x["eta"] - 1) * (x["eta"] + 1) + x["cos_i"] ** 2
-    return between("cos_i", *UNIT)(x) & between("eta", 1.2, 2.5)(x) | between("cos_i", *UNIT)(x) & between("eta", 0.4, 0.83)(x) & (g2 > 0.05)
+    return between("cos_i", *UNIT)(x) & between("eta", 1.2, 2.5)(x) | between("cos_i", *UNIT)(x) & between("eta", 0.4, 0.83)(x) & (
+        g2 > 0.05
+    )
 
 
 CASES = (

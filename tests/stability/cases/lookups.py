@@ -50,18 +50,24 @@ def call_radiance(x, y, z):
 
 def direction_grid(draw: Draw) -> np.ndarray:
     """The poles, the seam and their neighbours, and anything, of unit length."""
-    pole = directions(draw, 600) * draw.spread(600, draw.info.tiny * (1.0 if draw.dtype == torch.float16 else 2.0**40), 1e-2)[:, None] + np.array([0.0, 1.0, 0.0]) * draw.rng.choice([-1, 1], (600, 1))
+    pole = directions(draw, 600) * draw.spread(600, draw.info.tiny * (1.0 if draw.dtype == torch.float16 else 2.0**40), 1e-2)[
+        :, None
+    ] + np.array([0.0, 1.0, 0.0]) * draw.rng.choice([-1, 1], (600, 1))
     seam = directions(draw, 200)
     seam[:, 2] = -np.abs(seam[:, 2])
     seam[:, 0] = draw.rng.choice([0.0, -0.0, draw.denormal, -draw.denormal, draw.info.eps], 200)
-    special = np.concatenate([[[0, 1, 0], [0, -1, 0], [draw.denormal, 1, 0], [0, 1, -draw.denormal], [draw.info.tiny, -1, draw.info.tiny]], pole, seam])
+    special = np.concatenate(
+        [[[0, 1, 0], [0, -1, 0], [draw.denormal, 1, 0], [0, 1, -draw.denormal], [draw.info.tiny, -1, draw.info.tiny]], pole, seam]
+    )
     special = special / np.linalg.norm(special, axis=1, keepdims=True)
     return np.concatenate([draw.rounded(special), unit_grid(draw)])
 
 
 def at_texel_edge(x):
     """Where the four texels change, up to rounding."""
-    u, v = (c.astype(np.float64) for c in map(plain, coordinates(*unit(tuple(np.array(x[k], dtype=object) for k in ("d.x", "d.y", "d.z"))))))
+    u, v = (
+        c.astype(np.float64) for c in map(plain, coordinates(*unit(tuple(np.array(x[k], dtype=object) for k in ("d.x", "d.y", "d.z")))))
+    )
     return np.minimum(*(np.abs(c - 0.5 - np.round(c - 0.5)) for c in (u * WIDTH, v * HEIGHT))) < 2e-6
 
 

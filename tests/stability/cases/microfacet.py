@@ -124,7 +124,7 @@ def slopes(draw: Draw, count: int, alpha: np.ndarray, deepest: float) -> np.ndar
 
 def distribution_grid(deepest: float):
     def grid(draw: Draw) -> np.ndarray:
-        cos = [c for c in draw.rounded(draw.cosines())]
+        cos = draw.rounded(draw.cosines()).tolist()
         special = np.array([(c, max(1.0 - c * abs(c), 0.0), a) for c in cos for a in draw.rounded(ROUGHNESS)])
         alpha = alpha_bulk(draw)(10_000)
         theta = slopes(draw, 10_000, alpha, min(deepest, 5.0) if draw.half and deepest < 100 else deepest)
@@ -144,7 +144,17 @@ def anisotropic_grid(deepest: float):
         vector = np.stack([ax * radius * np.cos(phi), ay * radius * np.sin(phi), np.ones(count)], 1)
         vector /= np.linalg.norm(vector, axis=1, keepdims=True)
         lengths = np.where(draw.uniform(count) < 0.7, 1.0, draw.spread(count, 0.1, 10.0) if draw.half else draw.spread(count, 1e-8, 1e8))
-        kinds = [(0, 0, 1), (0, 0, 0), (1, 0, 0), (1, 0, draw.denormal), (0, 1e-3, 1), (1e-3, 0, -1), (0.6, 0, 0.8), (0, 0, draw.denormal), (0, 0, draw.info.max)]
+        kinds = [
+            (0, 0, 1),
+            (0, 0, 0),
+            (1, 0, 0),
+            (1, 0, draw.denormal),
+            (0, 1e-3, 1),
+            (1e-3, 0, -1),
+            (0.6, 0, 0.8),
+            (0, 0, draw.denormal),
+            (0, 0, draw.info.max),
+        ]
         pairs = [(1e-4, 1.0), (1.0, 1e-4), (1e-4, 1e-4), (1.0, 1.0), (0.3, 0.2)]
         special = np.array([(*k, *p) for k in kinds for p in pairs])
         return draw.rounded(np.concatenate([special, np.column_stack([vector * lengths[:, None], ax, ay])]))
@@ -258,7 +268,16 @@ CASES = (
         outside_twice={"tiny vector": tiny_vector},
     ),
     of("beckmann_d", NORMAL, beckmann_d, distribution_grid(60.0), bright, error="exp", peak=peak),
-    of("beckmann_d_anisotropic", LOCAL, local(lambda t: exp(-1 * t)), anisotropic_grid(60.0), bright_anisotropic, error="exp", peak=peak_anisotropic, outside_twice={"tiny vector": tiny_vector}),
+    of(
+        "beckmann_d_anisotropic",
+        LOCAL,
+        local(lambda t: exp(-1 * t)),
+        anisotropic_grid(60.0),
+        bright_anisotropic,
+        error="exp",
+        peak=peak_anisotropic,
+        outside_twice={"tiny vector": tiny_vector},
+    ),
     of(
         "projected_roughness",
         LOCAL[:2] + LOCAL[3:],
@@ -273,8 +292,24 @@ CASES = (
     of("ggx_g2", TWO, g2(ggx_slope), smith_grid(2), everyday_smith, at_most_one=True, outside={"alpha below 1e-4": too_smooth}),
     of("ggx_visibility", TWO, g2(ggx_slope, visibility=True), smith_grid(2), everyday_smith, outside={"alpha below 1e-4": too_smooth}),
     of("beckmann_lambda", ONE, smith_lambda(beckmann_slope), smith_grid(1, 60.0), everyday_smith, outside={"alpha below 1e-4": too_smooth}),
-    of("beckmann_g1", ONE, g1(beckmann_slope), smith_grid(1, 60.0), everyday_smith, at_most_one=True, outside={"alpha below 1e-4": too_smooth}),
-    of("beckmann_g2", TWO, g2(beckmann_slope), smith_grid(2, 60.0), everyday_smith, at_most_one=True, outside={"alpha below 1e-4": too_smooth}),
+    of(
+        "beckmann_g1",
+        ONE,
+        g1(beckmann_slope),
+        smith_grid(1, 60.0),
+        everyday_smith,
+        at_most_one=True,
+        outside={"alpha below 1e-4": too_smooth},
+    ),
+    of(
+        "beckmann_g2",
+        TWO,
+        g2(beckmann_slope),
+        smith_grid(2, 60.0),
+        everyday_smith,
+        at_most_one=True,
+        outside={"alpha below 1e-4": too_smooth},
+    ),
     of(
         "beckmann_lambda_walter",
         ONE,

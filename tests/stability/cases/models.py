@@ -105,7 +105,9 @@ def lobe_edge(x: Columns) -> Any:
     return np.abs((mirror * wi).sum(1)) < 1e-6
 
 
-def model(name: str, parameters: dict[str, Callable[[Draw], np.ndarray]], make: Callable[..., Any], truth: Callable[..., Any], **more: Any) -> Case:
+def model(
+    name: str, parameters: dict[str, Callable[[Draw], np.ndarray]], make: Callable[..., Any], truth: Callable[..., Any], **more: Any
+) -> Case:
     """A case of ``make(*parameters).evaluate(wi, wo, n)``."""
 
     def call(*c):
