@@ -199,6 +199,10 @@ class Bsdf(Value):
         n_c, t_c = (None if v is None else _take(v, wide, assume_unit) for v in (n, tangent))
         return Geometry(wi_c, wo_c, n_c if n_c is not None else local_normal(wi_c), t_c, wide)
 
+    def view_geometry(self, wo: Tensor, n: Tensor | None) -> Geometry:
+        """The geometry of what depends on ``wo`` alone."""
+        return self.geometry(arguments.floats(wo, "wo", 3), wo, n)
+
     def _check_directions(self, u: tuple[int, ...] = (), **given: Tensor | None) -> None:
         """Directions must be tensors ``[..., 3]`` of one dtype and device, that of the parameters, and broadcast with them."""
         found = {name: arguments.floats(v, name, 3) for name, v in given.items() if v is not None or name in ("wi", "wo")}

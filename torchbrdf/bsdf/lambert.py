@@ -53,7 +53,7 @@ class Lambert(Bsdf):
 
     def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
         """``albedo`` above the horizon, exactly."""
-        g = self.geometry(wo, wo, n)
+        g = self.view_geometry(wo, n)
         up = (g.cos_o > 0).to(g.cos_o.dtype)
         return join([a * up for a in g.colour(self.albedo)], g.wide).to(wo.dtype)
 

@@ -62,7 +62,7 @@ class Mirror(Bsdf):
 
     def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
         """``tint F(cos)`` above the horizon, exactly."""
-        g = self.geometry(wo, wo, n)
+        g = self.view_geometry(wo, n)
         return join([torch.where(g.cos_o > 0, r, 0.0) for r in self.reflectance(g, g.cos_o)], g.wide).to(wo.dtype)
 
     def kink_distance(self, g: Geometry) -> Tensor:
