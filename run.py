@@ -5,6 +5,7 @@ python3 run.py recover [options]   recover a material from photographs (examples
 python3 run.py test [options]      the tests, a few minutes
 python3 run.py slow [options]      the slow tests: full grids, chi2, compilation, Mitsuba, examples
 python3 run.py check               ruff (lint and format) and mypy
+python3 run.py stability [options] measure every formula against exact arithmetic (docs/stability.md)
 python3 run.py bench [options]     what shading costs beside textbook code (benchmarks/shade.py)
 """
 
@@ -25,6 +26,7 @@ TASKS = {
     "test": ("test", [["-m", "pytest"]]),
     "slow": ("test", [["-m", "pytest", "-m", "slow"]]),
     "check": ("dev", [["-m", "ruff", "check", "."], ["-m", "ruff", "format", "--check", "."], ["-m", "mypy"]]),
+    "stability": ("test", [["tests/stability"]]),
     "bench": ("bench", [["benchmarks/shade.py"]]),
 }
 
