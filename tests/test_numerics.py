@@ -33,6 +33,8 @@ def test_edges(dtype):
         (nu.unit_interval, one, 1.0, 0.0),
         (nu.at_most_one, one, 1.0, 1.0),
         (nu.at_most_one, 0.25, 0.25, 1.0),
+        (lambda x: nu.at_least(x, -1.0), -one, -1.0, 1.0),
+        (lambda x: nu.at_least(x, -1.0), -0.25, -0.25, 1.0),
         (nu.safe_sqrt, 0.25, 0.5, 1.0),
         (nu.safe_sqrt, 0.0, 0.0, 0.0),
         (nu.safe_sqrt, -1.0, 0.0, 0.0),
@@ -123,6 +125,68 @@ def test_g_squared_at_the_critical_angle(dtype):
     gc, gn = grad(nu.eta2_minus_sin2(c, n).sum(), (c, n))
     torch.testing.assert_close(gc, 2 * cos)
     torch.testing.assert_close(gn, 2 * eta)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_errors_of_sums_and_products_are_exact(dtype):
+    from fractions import Fraction as F
+
+    x, y = (torch.randn(200, generator=torch.Generator().manual_seed(k), dtype=torch.float64).to(dtype) * 10.0**k for k in (0, 3))
+    product, total = x * y, nu.two_sum(x, y)
+    errors = nu.product_error(x, y, product)
+    for i in range(200):
+        assert F(x[i].item()) * F(y[i].item()) == F(product[i].item()) + F(errors[i].item())
+        assert F(x[i].item()) + F(y[i].item()) == F(total[0][i].item()) + F(total[1][i].item())
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_sum_of_products_keeps_what_cancels(dtype):
+    """a b - a b (1 - 2^-40) of factors that do not fit: the plain sum keeps nothing of it."""
+    from fractions import Fraction as F
+
+    rng = torch.Generator().manual_seed(1)
+    a, b, c = (torch.rand(100, generator=rng, dtype=torch.float64).to(dtype) for _ in range(3))
+    d = (a * b / c).to(dtype)
+    found, rest = nu.sum_of_products((a, b), (-c, d))
+    eps = torch.finfo(dtype).eps
+    for i in range(100):
+        exact = F(a[i].item()) * F(b[i].item()) - F(c[i].item()) * F(d[i].item())
+        assert abs(F(found[i].item()) + F(rest[i].item()) - exact) <= F(8 * eps * eps) * F(a[i].item()) * F(b[i].item())
+    assert not nu.sum_of_products((a.requires_grad_(), b))[0].requires_grad
+
+
+def test_huge_products_fall_back_to_the_plain_sum():
+    big = torch.tensor([1e37])
+    total, rest = nu.sum_of_products((big, torch.tensor([3.0])), (big, torch.tensor([2.0])))
+    assert total.item() == pytest.approx(5e37, rel=1e-6)
+    assert rest.item() == 0.0
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_value_of_one_formula_with_slopes_of_another(dtype):
+    exact = 1.0 + torch.finfo(dtype).eps
+    x = torch.tensor(3.0, dtype=dtype, requires_grad=True)
+    y = nu.value_of(torch.tensor(exact, dtype=dtype), 1e6 * x)
+    assert y.item() == exact, "to the last bit, however far the other is"
+    assert grad(y, x)[0].item() == 1e6
+
+
+def test_working_dtypes_follow_torch():
+    f32, f64 = torch.ones(2), torch.ones(2, dtype=torch.float64)
+    half, scalar64 = f32.half(), torch.tensor(0.1, dtype=torch.float64)
+    for xs, made, result in (
+        ((f32, 0.1), torch.float32, torch.float32),
+        ((f32, scalar64), torch.float32, torch.float32),
+        ((f32, f64), torch.float64, torch.float64),
+        ((half, 0.1), torch.float32, torch.float16),
+        ((0.1, half), torch.float32, torch.float16),
+        ((scalar64, 0.1), torch.float64, torch.float64),
+    ):
+        found, dtype = nu.working(*xs)
+        assert {t.dtype for t in found} == {made}
+        assert dtype == result
+    number = nu.working(half, 0.04)[0][1]
+    assert number.item() == torch.tensor(0.04).item(), "a number is not rounded to the half type"
 
 
 def test_huge_eta_does_not_overflow():

@@ -38,7 +38,7 @@ def test_other_dtypes(name, dtype):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dtype", report.DTYPES, ids=report.name_of)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=report.name_of)  # run.py stability compiles for all four
 @pytest.mark.parametrize("batch", list(report.batches(CASES)), ids=lambda b: b[0].name)
 def test_fusion_undoes_nothing(batch, dtype):
     for case, fused in zip(batch, measure.run_compiled(batch, dtype), strict=True):

@@ -127,6 +127,19 @@ def test_refract_batched_eta_and_gradient():
     assert gradcheck(lambda w, eta: tb.refract(tb.normalize(w), n, eta)[0], (w.requires_grad_(), eta))
 
 
+def test_refract_knows_the_side_to_the_last_digit():
+    """n.w of 4e-9, which float32 sums to -4e-9: the ray must not leave on the wrong side of the surface."""
+    rng = torch.Generator().manual_seed(0)
+    n = tb.normalize(torch.randn(20_000, 3, generator=rng))
+    w = tb.normalize(torch.linalg.cross(n, torch.randn(20_000, 3, generator=rng)))
+    exact = (w.double() * n.double()).sum(-1)
+    plain = (w * n).sum(-1)
+    assert bool(((plain < 0) != (exact < 0)).any()), "float32 alone gets some wrong"
+    bent, valid = tb.refract(w, n, 1.5)
+    assert bool(valid.all())
+    assert bool((((bent.double() * n.double()).sum(-1) < 0) == (exact >= 0)).all())
+
+
 def test_planar_memory():
     v = torch.randn(4, 5, 3)
     p = tb.planar(v)

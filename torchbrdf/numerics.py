@@ -6,6 +6,7 @@ And one of speed: eager ``where`` on a mask that changes from pixel to pixel cos
 branches), so what is finite on both sides is multiplied by its mask instead.
 """
 
+import functools
 import math
 
 import torch
@@ -33,6 +34,19 @@ def widen(x: Tensor) -> Tensor:
 def rounded_back(x: Tensor, dtype: torch.dtype) -> Tensor:
     """A result of :func:`widen`-ed inputs in the dtype it is asked for: one rounding."""
     return x.to(dtype) if dtype in HALF_TYPES else x
+
+
+def working(*xs: Tensor | float) -> tuple[list[Tensor], torch.dtype]:
+    """Arguments of a formula, numbers included, in the dtype to compute in; and the dtype of its result.
+
+    As torch promotes: tensors without axes follow those with axes, and numbers follow tensors (in float32 beside a half type).
+    """
+    tensors = [x for x in xs if isinstance(x, Tensor)] or [torch.zeros(())]
+    leading = [x for x in tensors if x.dim()] or tensors
+    dtype = functools.reduce(torch.promote_types, (x.dtype for x in leading))
+    wide = working_dtype(dtype)
+    made = [x.to(wide) if isinstance(x, Tensor) else torch.as_tensor(x, dtype=wide, device=leading[0].device) for x in xs]
+    return made, dtype
 
 
 def positive(x: Tensor) -> Tensor:

@@ -32,20 +32,13 @@ __all__ = ["amplitudes", "conductor", "dielectric", "refraction_cosine", "schlic
 ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0), flat=(1.0,))
 
 
-def _tensors(*xs: Tensor | float) -> tuple[list[Tensor], torch.dtype]:
-    """The arguments in the dtype to compute in, and the dtype of the result (half types are rounded once, at the end)."""
-    like = next((x for x in xs if isinstance(x, Tensor)), torch.zeros(()))
-    made = [x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=like.dtype, device=like.device) for x in xs]
-    return [numerics.widen(x) for x in made], like.dtype
-
-
 def dielectric(cos_i: Tensor, eta: Tensor | float) -> Tensor:
     """Exact unpolarised reflectance of a dielectric interface, in [0, 1].
 
     ``cos_i`` in [0, 1], ``eta`` > 0, broadcast. 1 under total internal reflection (``g^2 <= 0``), with gradient 0; 0
     everywhere at eta = 1, grazing included.
     """
-    (c, n), dtype = _tensors(cos_i, eta)
+    (c, n), dtype = numerics.working(cos_i, eta)
     at = _interface(c, n)
     r_s, r_p = (numerator / (denominator * denominator) for numerator, denominator in (at.perpendicular(), at.parallel()))
     exact = numerics.at_most_one(0.5 * (r_s * r_s + r_p * r_p))
@@ -58,7 +51,7 @@ def amplitudes(cos_i: Tensor, eta: Tensor | float) -> tuple[Tensor, Tensor]:
     ``cos_i`` in [0, 1], ``eta`` > 0, broadcast. Under total internal reflection, where the ratios are complex, their modulus 1,
     with gradient 0; 0 everywhere at eta = 1. Accurate to the last bits on both sides of Brewster's angle, where r_p changes sign.
     """
-    (c, n), dtype = _tensors(cos_i, eta)
+    (c, n), dtype = numerics.working(cos_i, eta)
     at = _interface(c, n)
     (top_s, a), (top_p, b) = at.perpendicular(), at.parallel(every_digit=True)
     r_s, r_p = (at.elsewhere(numerics.at_least(x, -1.0), total=1.0) for x in (-top_s / (a * a), top_p / (b * b)))
@@ -70,7 +63,7 @@ def refraction_cosine(cos_i: Tensor, eta: Tensor | float) -> Tensor:
 
     ``cos_i`` in [0, 1], ``eta`` > 0, broadcast. Accurate to the last bits at the critical angle, where the slope is infinite outside.
     """
-    (c, n), dtype = _tensors(cos_i, eta)
+    (c, n), dtype = numerics.working(cos_i, eta)
     at = _interface(c, n)
     cos_t = torch.where(at.matched, at.cos, torch.where(at.partial, at.g / n, 0.0))
     return numerics.rounded_back(numerics.at_most_one(cos_t), dtype)
@@ -132,7 +125,7 @@ def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
 
     ``cos_i`` in [0, 1], ``eta`` > 0, ``k`` >= 0, broadcast. ``k = 0`` is the dielectric, one-sided derivative included.
     """
-    (c, n, k), dtype = _tensors(cos_i, eta, k)
+    (c, n, k), dtype = numerics.working(cos_i, eta, k)
     c = numerics.unit_interval(c)
     vacuum = (n == 1) & (k == 0)
     s2 = (1.0 - c) * (1.0 + c)
@@ -171,7 +164,7 @@ def _refracted_root(real: Tensor, half_imag: Tensor) -> tuple[Tensor, Tensor]:
 
 def schlick(cos_i: Tensor, f0: Tensor | float) -> Tensor:
     """Schlick's approximation from the reflectance ``f0`` in [0, 1] at normal incidence; ``cos_i`` in [0, 1], broadcast."""
-    (c, f0), dtype = _tensors(cos_i, f0)
+    (c, f0), dtype = numerics.working(cos_i, f0)
     grazing = _fifth_power(1.0 - numerics.unit_interval(c))
     return numerics.rounded_back(f0 * (1.0 - grazing) + grazing, dtype)
 

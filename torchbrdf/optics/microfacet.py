@@ -34,7 +34,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import numerics
-from ..numerics import step
+from ..numerics import step, working
 from .smith import (
     beckmann_g1,
     beckmann_g2,
@@ -46,7 +46,6 @@ from .smith import (
     ggx_visibility,
     power_of_two_below,
     projected_roughness,
-    working,
 )
 
 __all__ = [

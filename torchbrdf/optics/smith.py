@@ -5,7 +5,6 @@ All of it goes through one number a direction, ``x = 1 / (1 + 2 Lambda)`` in [0,
 larger of two lengths, in whichever of two forms does not cancel, because derivatives cancel long before values do.
 """
 
-import functools
 import math
 
 import torch
@@ -13,17 +12,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import numerics
-from ..numerics import step
+from ..numerics import step, working
 from .erf_tail import exponential_tail
-
-
-def working(*xs: Tensor | float) -> tuple[list[Tensor], torch.dtype]:
-    """The arguments in the dtype to compute in, numbers included, and the dtype of the result."""
-    tensors = [x for x in xs if isinstance(x, Tensor)] or [torch.zeros(())]
-    dtype = functools.reduce(torch.promote_types, (t.dtype for t in tensors))
-    wide = numerics.working_dtype(dtype)
-    made = [x.to(wide) if isinstance(x, Tensor) else torch.as_tensor(x, dtype=wide, device=tensors[0].device) for x in xs]
-    return made, dtype
 
 
 def projected_roughness(x: Tensor, y: Tensor, alpha_x: Tensor | float, alpha_y: Tensor | float) -> Tensor:
