@@ -1,6 +1,7 @@
 """G-buffers: against an independent renderer, against re-cast differences, and at the hard cases."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -201,3 +202,13 @@ def test_one_made_elsewhere():
         g.replace(mask=torch.zeros(4, 1))
     with pytest.raises(ValueError, match="do not broadcast"):
         g.replace(uv=torch.zeros(3, 2))
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16, torch.float16])
+def test_a_long_normal_is_valid_and_one_that_is_no_number_is_not(dtype):
+    """Found by hypothesis: the components of a legal normal may add up to more than its dtype holds."""
+    most = torch.finfo(dtype).max
+    normal = torch.tensor(
+        [[most, most, most], [0.0, -most, 1.0], [0.0, 0.0, 0.0], [math.inf, 0.0, 0.0], [0.0, math.nan, most]], dtype=dtype
+    )
+    assert tb.GBuffer(torch.zeros(5, 3, dtype=dtype), normal).valid.flatten().tolist() == [True, True, False, False, False]

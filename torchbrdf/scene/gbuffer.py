@@ -54,7 +54,7 @@ class GBuffer(Value):
     def valid(self) -> Tensor:
         """``[..., 1]`` bool: ``mask``, and a finite, nonzero normal."""
         n = vector.components(self.normal.detach())
-        size = n.x.abs() + n.y.abs() + n.z.abs()
+        size = torch.maximum(torch.maximum(n.x.abs(), n.y.abs()), n.z.abs())  # their sum may overflow
         usable = ((size > 0) & (size < torch.inf)).unsqueeze(-1)  # NaN fails both
         return usable if self.mask is None else usable & self.mask
 
