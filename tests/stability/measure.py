@@ -100,13 +100,13 @@ def compare(case: Case, dtype: torch.dtype, values: list[np.ndarray], slopes: li
     slope_error = slope_errors(case, dtype, truth, slopes)
     mixed = slope_error[claims.slopes]
     today = truth.everyday & claims.slopes
-    slopes_finite = np.isfinite(np.stack(slopes, 1)).all(1) if slopes else claims.slopes
+    slopes_finite = np.isfinite(np.stack(slopes, 1)).all(1) if slopes else claims.finite_slopes
     seconds_bad, second_error = _compare_second(case, dtype, truth, seconds, claims.seconds)
     return Figures(
         points=len(truth.points),
         excluded=claims.excluded,
-        values_not_finite=int((~np.isfinite(np.stack(values, 1)).all(1) & claims.values).sum()),
-        slopes_not_finite=int((~slopes_finite & claims.slopes).sum()),
+        values_not_finite=int((~np.isfinite(np.stack(values, 1)).all(1) & claims.finite_values).sum()),
+        slopes_not_finite=int((~slopes_finite & claims.finite_slopes).sum()),
         seconds_not_finite=seconds_bad,
         negative=0 if case.signed else int(sum((v < 0).sum() for v in values)),
         above_one=int(sum((v > 1).sum() for v in values)) if case.at_most_one else 0,

@@ -60,8 +60,9 @@ def point_rows(draw: Draw) -> np.ndarray:
     special = draw.rng.choice([0.0, draw.denormal, -draw.denormal, draw.info.tiny, draw.info.eps, 1e-3], ROWS)
     on_axis = np.arange(ROWS) % 2 == 0
     wi[:, 2], wo[:, 2] = np.where(on_axis & (kind == 12), special, wi[:, 2]), np.where(on_axis & (kind == 13), special, wo[:, 2])
-    lengths = draw.spread(ROWS, 1e-2, 1e2)[:, None]
-    wi, wo = (np.where((kind == 14)[:, None], w * lengths, w) for w in (wi, wo))
+    most = 1e2 if draw.dtype == torch.float16 else 1e30
+    lengths = np.where(draw.uniform(ROWS) < 0.05, 0.0, draw.spread(ROWS, 1 / most, most))[:, None]
+    wi, wo, n = (np.where((kind == k)[:, None], w * lengths, w) for k, w in zip((14, 15, 16), (wi, wo, n), strict=True))
     return draw.rounded(np.concatenate([wi, wo, n], 1))
 
 
@@ -167,7 +168,9 @@ def mirror_grid(draw: Draw) -> np.ndarray:
 def near_own_horizon(x: Columns) -> Any:
     """As near the horizon as the rounding of the two directions."""
     wo, n = stacked(x, "wo"), stacked(x, "n")
-    return ~(np.abs(n) == 1).any(1) & (np.abs((wo * n).sum(1)) < 4e-7)
+    with np.errstate(all="ignore"):
+        cos = np.abs((wo * n).sum(1)) / np.linalg.norm(wo, axis=1) / np.linalg.norm(n, axis=1)
+    return ~(np.abs(n) == 1).any(1) & (cos < 4e-7)
 
 
 MIRROR = Case(
