@@ -1,12 +1,14 @@
 """How sure a fit is."""
 
+import itertools
+
 import torch
 from torch import Tensor, nn
 
-from .linear import Linear, Parts, dot, plus
+from .linear import Linear, conjugate_gradients, usable
 from .problem import Points
 
-STEPS = 150
+STEPS, PROBES = 150, 16
 SETTLED = 0.01  # ten steps together add less than this fraction
 
 
@@ -18,25 +20,15 @@ class Confidence:
 
     def __init__(self, model: nn.Module, points: list[Points]) -> None:
         self.linear = Linear(model, points)
+        self.scale = usable(self.linear.diagonal(torch.Generator().manual_seed(0), PROBES))
         self.variance = self.linear.loss / sum(p.image.numel() for p in points)
 
     def of(self, quantity: Tensor) -> float:
-        """One standard deviation of a scalar of the parameters: sqrt(c' H^-1 c) with c its gradient."""
+        """One standard deviation of a scalar of the parameters: sqrt(c' H^-1 c) with c its gradient, from below."""
         c = torch.autograd.grad(quantity, self.linear.parameters, allow_unused=True, materialize_grads=True, retain_graph=True)
-        return (self.variance * self._inverse_form(list(c))) ** 0.5
-
-    def _inverse_form(self, c: Parts) -> float:
-        """c' (J'J)^-1 c by conjugate gradients (Hestenes & Stiefel 1952), whose every step adds (r'r)^2 / d'Hd to it."""
-        r, d, rr = c, c, dot(c, c)
         sums = [0.0]
-        for k in range(STEPS):
-            hd = self.linear.product(d)
-            curvature = dot(d, hd)
-            if curvature <= 0 or (k > 10 and sums[-1] - sums[-11] < SETTLED * sums[-1]):
+        for _, _, gain in itertools.islice(conjugate_gradients(self.linear.product, list(c), self.scale), STEPS):
+            sums.append(sums[-1] + gain)
+            if len(sums) > 11 and sums[-1] - sums[-11] < SETTLED * sums[-1]:
                 break
-            step = rr / curvature
-            sums.append(sums[-1] + step * rr)
-            r = plus(r, -step, hd)
-            rr, before = dot(r, r), rr
-            d = plus(r, rr / before, d)
-        return sums[-1]
+        return (self.variance * sums[-1]) ** 0.5

@@ -6,6 +6,8 @@ Where a parameter has a range, its field stores an angle or a logarithm: a step 
 as a linear model of the highlights can be trusted, and longer ones are cut there.
 """
 
+import itertools
+
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
@@ -13,13 +15,13 @@ from torch.func import functional_call
 from torchbrdf.interval import REAL
 from torchbrdf.nn.fields import Stored
 
-from .linear import Linear, Parts, dot, plus
+from .linear import Linear, Parts, conjugate_gradients, dot, usable
 from .problem import Points
 
 PROBES = 4  # for D: rough, but the mean goes on over the steps
 SOLVED = 0.1  # the residual of each solve: exact ones are wasted far from the end (Dembo, Eisenstat & Steihaug 1982)
 SOLVER_STEPS = 50
-WEAKEST = 1e-12  # of D's largest: what the photographs do not show is left where it is
+STRONGEST = 1e12  # damping: no step is shorter
 DONE = 1e-3  # fall of the loss in units of the mean square of one residual: that of the noise in one number, if it is a good fit
 LONGEST = 1.0
 
@@ -41,7 +43,7 @@ class GaussNewton:
         """One accepted step; False where no step lowers the loss, or one only by ``DONE``."""
         here = Linear(self.model, self.points)
         gradient, scale = here.gradient(), self._scales(here)
-        while self.damping < 1.0 / WEAKEST:
+        while self.damping < STRONGEST:
             move = [d.clamp(-most, most) for d, most in zip(self._solve(here, gradient, scale), self.longest, strict=True)]
             foretold = -2.0 * dot(gradient, move) - dot(move, here.product(move))
             moved = {name: p.detach() + d for (name, p), d in zip(self.model.named_parameters(), move, strict=True)}
@@ -71,24 +73,20 @@ class GaussNewton:
         """D, a running mean."""
         new = here.diagonal(self.generator, PROBES)
         self.scale = new if self.scale is None else [0.5 * (a + b) for a, b in zip(self.scale, new, strict=True)]
-        largest = max(float(d.max()) for d in self.scale)
-        return [d.clamp_min(WEAKEST * largest if largest > 0 else 1.0) for d in self.scale]
+        return usable(self.scale)
 
     def _solve(self, here: Linear, gradient: Parts, scale: Parts) -> Parts:
-        """(J'J + damping D) x = -gradient, by preconditioned conjugate gradients (Hestenes & Stiefel 1952)."""
-        x = [torch.zeros_like(g) for g in gradient]
-        r = [-g for g in gradient]
-        z = [a / d for a, d in zip(r, scale, strict=True)]
-        direction, rz = z, dot(r, z)
-        enough = SOLVED**2 * rz
-        for _ in range(SOLVER_STEPS):
-            if rz <= enough:
-                break
-            bent = [h + self.damping * d * v for h, d, v in zip(here.product(direction), scale, direction, strict=True)]
+        """(J'J + damping D) x = -gradient, roughly."""
+
+        def damped(v: Parts) -> Parts:
             self.products += 1
-            length = rz / dot(direction, bent)
-            x, r = plus(x, length, direction), plus(r, -length, bent)
-            z = [a / d for a, d in zip(r, scale, strict=True)]
-            rz, before = dot(r, z), rz
-            direction = plus(z, rz / before, direction)
-        return x
+            return [h + self.damping * d * x for h, d, x in zip(here.product(v), scale, v, strict=True)]
+
+        move = [torch.zeros_like(g) for g in gradient]
+        enough = SOLVED**2 * sum(float((g * g / d).sum()) for g, d in zip(gradient, scale, strict=True))
+        steps = conjugate_gradients(damped, [-g for g in gradient], scale)
+        for found, left, _ in itertools.islice(steps, SOLVER_STEPS):
+            move = found
+            if left <= enough:
+                break
+        return move

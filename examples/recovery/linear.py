@@ -1,10 +1,13 @@
 """The model about its present parameters: products with the derivative J of all residuals, of which nothing is ever stored."""
 
+from collections.abc import Callable, Iterator
+
 import torch
 from torch import Tensor, nn
 
 from .problem import Points
 
+WEAKEST = 1e-12
 Parts = list[Tensor]  # one tensor per parameter, or per photograph
 
 
@@ -59,12 +62,40 @@ class Linear:
         return [torch.stack(d).square().mean(0) for d in zip(*draws, strict=True)]
 
 
+def usable(diagonal: Parts) -> Parts:
+    """The diagonal as a scale: what no photograph shows gets a tiny part of the largest, not 0."""
+    largest = max(float(d.max()) for d in diagonal)
+    return [d.clamp_min(WEAKEST * largest if largest > 0 else 1.0) for d in diagonal]
+
+
 def hessian_product(model: nn.Module, points: list[Points], v: Parts) -> Parts:
     """H v with the whole Hessian of the loss (the sum of squared residuals), by reverse mode twice."""
     parameters = list(model.parameters())
     loss = torch.stack([model(p).square().sum() for p in points]).sum()
     slope = torch.autograd.grad(loss, parameters, create_graph=True, allow_unused=True, materialize_grads=True)
     return list(torch.autograd.grad(slope, parameters, v, allow_unused=True, materialize_grads=True))
+
+
+def conjugate_gradients(apply: Callable[[Parts], Parts], b: Parts, scale: Parts) -> Iterator[tuple[Parts, float, float]]:
+    """Ever better x with ``apply(x) = b``, preconditioned by the diagonal ``scale`` (Hestenes & Stiefel 1952), without an end.
+
+    With each: r'z, the square of the scaled residual that is left, and what the step added to b'x, which grows towards b'A^-1 b.
+    """
+    x, r = [torch.zeros_like(g) for g in b], b
+    z = [a / d for a, d in zip(r, scale, strict=True)]
+    direction, rz = z, dot(r, z)
+    while rz > 0:
+        bent = apply(direction)
+        curvature = dot(direction, bent)
+        if not curvature > 0:  # nothing but rounding is left
+            return
+        length = rz / curvature
+        gain = length * rz
+        x, r = plus(x, length, direction), plus(r, -length, bent)
+        z = [a / d for a, d in zip(r, scale, strict=True)]
+        rz, before = dot(r, z), rz
+        yield x, rz, gain
+        direction = plus(z, rz / before, direction)
 
 
 def dot(a: Parts, b: Parts) -> float:
