@@ -157,6 +157,17 @@ def test_nothing_to_be_seen_teaches_nothing():
             assert not bool(d.any()), name
 
 
+def test_what_is_unseen_may_stand_in_a_blinding_light():
+    """Its slope by the cosine is infinite; behind the horizon, the silhouette or the mask it must still end in exactly 0."""
+    origin, up = torch.zeros(3, 3), torch.tensor([[0.0, 0.0, 1.0]])
+    g = tb.GBuffer(origin, torch.cat([up, up, -up]), torch.cat([up, -up, -up]), mask=torch.tensor([[False], [True], [True]]))
+    blinding = tb.PointLight([0.0, 0.0, 2.0**-63], 1e30).to(torch.float32)
+    image, slopes = shaded((g, [blinding], [hard.sky(torch.float32)]), ALL_LOBES.select(SPREAD))
+    assert not bool(image.any())
+    for name, d in slopes.items():
+        assert not bool(d.any()), name
+
+
 def fields(g):
     """A material of every kind of field, all of them learned."""
     learned, texels = torch.rand(*g.batch_shape, 3), torch.rand(4, 5, 3)
