@@ -37,15 +37,20 @@ def meshes(draw, dtype):
     points = [[b + moved * x for b, x in zip(corner, draw(vectors(3)), strict=True)] for corner in CORNERS[:count]]
     points += [points[draw(st.integers(0, count - 1))] for _ in range(draw(st.integers(0, 2)))]  # the same place twice
     index = st.integers(0, len(points) - 1)
-    faces = [[0, 1, 2], *draw(st.lists(st.lists(index, min_size=3, max_size=3), max_size=6))]
+    point, edge = index.map(lambda k: [k, k, k]), st.tuples(index, index).map(lambda k: [k[0], k[1], k[0]])
+    proper = st.lists(index, min_size=3, max_size=3)
+    faces = [[0, 1, 2], *draw(st.lists(st.one_of(proper, point, edge), max_size=6))]
     faces += [face[::-1] for face in faces] if draw(st.sampled_from([True, True, False])) else []  # to be seen from both sides
     scale, shift = draw(st.sampled_from([(1.0, 0.0), (1e-3, 0.0), (1e4, 0.0), (1.0, 100.0)]))
     fields = {"vertices": scale * torch.tensor(points, dtype=dtype) + shift, "faces": torch.tensor(faces)}
     if draw(st.sampled_from([False, False, True])):
-        fields["normals"] = torch.tensor([draw(st.one_of(st.just([0.0, 0.2, 1.0]), vectors(3))) for _ in points], dtype=dtype)
+        fields["normals"] = torch.tensor(
+            [draw(st.one_of(st.sampled_from([[0.0, 0.2, 1.0], [math.nan, 0.0, 1.0], [0.0, math.inf, 0.0]]), vectors(3))) for _ in points],
+            dtype=dtype,
+        )
     uv = draw(st.sampled_from(["none", "vertices", "corners"]))
     if uv != "none":
-        fields["uv"] = torch.tensor([draw(vectors(2)) for _ in points], dtype=dtype) * draw(st.sampled_from([1.0, 50.0]))
+        fields["uv"] = torch.tensor([draw(vectors(2)) for _ in points], dtype=dtype) * draw(st.sampled_from([1.0, 50.0, math.nan]))
     if uv == "corners":
         fields["uv_faces"] = fields["faces"].flip(0)
     if draw(st.booleans()):

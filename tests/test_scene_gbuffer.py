@@ -212,3 +212,20 @@ def test_a_long_normal_is_valid_and_one_that_is_no_number_is_not(dtype):
         [[most, most, most], [0.0, -most, 1.0], [0.0, 0.0, 0.0], [math.inf, 0.0, 0.0], [0.0, math.nan, most]], dtype=dtype
     )
     assert tb.GBuffer(torch.zeros(5, 3, dtype=dtype), normal).valid.flatten().tolist() == [True, True, False, False, False]
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_a_uv_that_is_no_number_does_not_poison_the_slopes_of_the_rest(wrong):
+    """Found by hypothesis: a weight that multiplies a NaN has a NaN for a slope, even where nothing depends on it."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    vertices, uv = torch.tensor(ball.vertices).requires_grad_(), torch.rand(len(ball.vertices), 2, dtype=torch.float64)
+    uv[::2, 0] = wrong
+    mesh = tb.Mesh(vertices, torch.tensor(ball.faces), uv=uv)
+    g = tb.GBuffer.from_mesh(mesh, tb.Camera.look_at([0.0, 0.0, 3.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 40.0, (9, 9)))
+    albedo = tb.nn.Texture(torch.rand(3, 3, 3, dtype=torch.float64))(g)
+    image = tb.shade(g, tb.Lambert(albedo), tb.PointLight([1.0, 1.0, 3.0], 9.0))
+    assert bool(torch.isfinite(image).all())
+    assert float(image.detach().sum()) > 0
+    (slope,) = torch.autograd.grad(image.sum(), vertices)
+    assert bool(torch.isfinite(slope).all())
+    assert bool(slope.any())

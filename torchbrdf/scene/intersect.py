@@ -53,7 +53,8 @@ def gbuffer_fields(mesh: Mesh, camera: Camera) -> dict[str, Any]:
     }
     if mesh.uv is not None:
         uv_corners = corners if mesh.uv_faces is None else tuple(mesh.uv_faces.t().to(torch.int64)[:, face].unbind(0))
-        uv = [gather(mesh.uv.double(), i) for i in uv_corners]
+        finite = torch.where(torch.isfinite(mesh.uv).all(-1, keepdim=True), mesh.uv.double(), 0.0)  # as the normals
+        uv = [gather(finite, i) for i in uv_corners]
         fields["uv"] = out(interpolate(uv, weights))
         fields["tangent"] = out(_tangent(edges, uv))
     if mesh.material is not None:

@@ -23,7 +23,8 @@ class Mesh(Value):
 
     ``normals [V, 3]`` are shading normals; without them angle-weighted ones are made. ``uv [V, 2]`` belongs to the vertices, or,
     with ``uv_faces [F, 3]``, to corners: ``uv [T, 2]`` then has its own indices, so that a texture may be cut along seams where the
-    surface is not. ``material [F, 1]`` is an id per face. A mesh has no batch axes.
+    surface is not. ``material [F, 1]`` is an id per face. A normal that is not finite masks its faces out, such a uv counts as 0. A mesh
+    has no batch axes.
     """
 
     vertices: Tensor = param(REAL, 3, "positions [V, 3]")
