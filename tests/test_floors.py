@@ -9,7 +9,9 @@ import torchbrdf
 
 ROOT = Path(torchbrdf.__file__).parent
 FLOORS = {
-    **dict.fromkeys(("numerics", "vector", "geometry", "interval", "value", "registry", "arguments", "files", "saved", "pictures", "raster", "rgbe"), 0),
+    **dict.fromkeys(
+        ("numerics", "vector", "geometry", "interval", "value", "registry", "arguments", "files", "saved", "pictures", "raster", "rgbe"), 0
+    ),
     "optics": 1,
     **dict.fromkeys(("bsdf", "light", "scene"), 2),
     **dict.fromkeys(("effects", "planning", "compiling"), 3),
