@@ -1,6 +1,7 @@
 """The fit: least squares by Gauss-Newton (here), L-BFGS or Adam (torch.optim)."""
 
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -38,13 +39,13 @@ class Step(NamedTuple):
 class History:
     """The steps of a fit as they come, on a progress bar; the first is the start."""
 
-    def __init__(self, count: int, bar: Any) -> None:
+    def __init__(self, count: int, bar: Any, clock: Callable[[], float]) -> None:
         self.steps: list[Step] = []
-        self.count, self.bar, self.began = count, bar, time.perf_counter()
+        self.count, self.bar, self.clock, self.began = count, bar, clock, clock()
 
     def note(self, loss: float, iteration: int) -> None:
         """The sum of squared residuals somewhere in an iteration; the least one stays."""
-        found = Step(loss / self.count, time.perf_counter() - self.began)
+        found = Step(loss / self.count, self.clock() - self.began)
         if iteration == len(self.steps):
             self.steps.append(found)
         elif found.loss < self.steps[iteration].loss:
@@ -59,12 +60,12 @@ def fit(
     iterations: int | None = None,
     optimizer: str = "gauss-newton",
     rate: float = 0.03,
-    label: str = "fit",
+    clock: Callable[[], float] = time.perf_counter,
 ) -> list[Step]:
     """Minimise the mean squared residual; returns it after every iteration. ``rate`` is Adam's."""
     most = ITERATIONS[optimizer] if iterations is None else iterations
-    with tqdm(total=most, desc=label, unit="step", leave=False) as bar:
-        history = History(sum(p.image.numel() for p in points), bar)
+    with tqdm(total=most, desc="fit", unit="step", leave=False) as bar:
+        history = History(sum(p.image.numel() for p in points), bar, clock)
         if optimizer == "gauss-newton":
             _gauss_newton(model, points, most, history)
         elif optimizer == "lbfgs":
