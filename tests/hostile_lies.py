@@ -122,6 +122,7 @@ MESHES = {
     "uv_index.obj": (text(TRIANGLE + "vt 0 0\nf 1/1000000000 2/1 3/1\n"), None),
     "uv_nan.obj": (text(TRIANGLE + "vt nan inf\nf 1/1 2/1 3/1\n"), None),
     "normal_nan.obj": (text(TRIANGLE + "vn nan inf 0\nf 1//1 2//1 3//1\n"), None),
+    "latin_1.obj": (raw(b"# caf\xe9\no caf\xe9\n" + TRIANGLE.encode() + b"f 1 2 3\n"), None),
     "polygon.obj": (text(TRIANGLE + "f " + "1 2 3 " * 3000 + "\n"), None),
     "library_without_end.obj": (text("mtllib /dev/zero\n" + TRIANGLE + "f 1 2 3\n"), None),
     "library_pipe.obj": (with_fifo(text("mtllib pipe\n" + TRIANGLE + "f 1 2 3\n")), None),

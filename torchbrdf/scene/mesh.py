@@ -90,7 +90,7 @@ def _owner(name: str) -> str:
 
 
 def load_mesh(path: str | Path) -> Mesh:
-    """Read a mesh file (anything trimesh reads) as float32, in the file's order of faces.
+    """Read a mesh file (anything trimesh reads, but archives) as float32, in the file's order of faces.
 
     A scene of several parts becomes one mesh whose ``material`` numbers the parts in the file's order. Vertices that the reader split along
     texture seams are joined again (see :class:`Mesh`, ``uv_faces``), so that they move together.

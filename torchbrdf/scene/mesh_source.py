@@ -34,6 +34,8 @@ def placed_geometries(path: Path) -> list[tuple[Any, np.ndarray]]:
             raise ValueError(f"its name ends in {path.suffix!r}, which is no mesh format; archives are not unpacked")
         data = path.read_bytes()
         _check_claims(kind, data, path.parent)
+        if kind in ("obj", "off"):  # a name or a comment may be in any encoding
+            data = data.decode(errors="replace").encode()
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, **_options(kind, path.parent))
         placed = _placed(scene)
         files.check_claim(sum(map(_held, (geometry for geometry, _ in placed))), len(data), f"its {len(placed)} parts, put together")
