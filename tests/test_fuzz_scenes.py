@@ -203,7 +203,7 @@ def test_a_scene_of_anything_legal(dtype, data):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [SINGLE, DOUBLE, torch.bfloat16], ids=["float32", "float64", "bfloat16"])
-@settings(max_examples=2000, **SETTINGS)
+@settings(max_examples=300, **SETTINGS)
 @given(st.data())
 def test_many_scenes(dtype, data):
     whole_scene(data, dtype)
@@ -259,7 +259,7 @@ def test_points_of_anything(data, dtype):
 
 
 @pytest.mark.slow
-@settings(max_examples=6000, **SETTINGS)
+@settings(max_examples=900, **SETTINGS)
 @given(st.data(), st.sampled_from(DTYPES))
 def test_many_points(data, dtype):
     some_points(data, dtype)
