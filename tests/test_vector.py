@@ -203,3 +203,22 @@ def test_components_are_views():
     c = components(v)
     assert isinstance(c, Vec)
     assert c.x.data_ptr() == v.data_ptr()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: tb.normalize([0.0, 0.0, 1.0]), "v: expected a tensor of floats, found list"),
+        (lambda: tb.normalize(torch.tensor([0, 0, 1])), "v: expected a tensor of floats, found torch.int64"),
+        (lambda: tb.normalize(torch.ones(4)), r"v: expected shape \[..., 3\], found \[4\]"),
+        (lambda: tb.reflect(torch.ones(3), torch.ones(2)), r"n: expected shape \[..., 3\], found \[2\]"),
+        (
+            lambda: tb.refract(torch.ones(3, dtype=torch.complex64), torch.ones(3), 1.5),
+            "w: expected a tensor of floats, found torch.complex64",
+        ),
+        (lambda: tb.Frame.from_normal(torch.ones(4)), r"n: expected shape \[..., 3\], found \[4\]"),
+    ],
+)
+def test_directions_that_are_none(call, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        call()

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from . import numerics
+from . import arguments, numerics
 from .numerics import step
 
 
@@ -115,11 +115,11 @@ def normalize_components(v: Vec) -> Vec:
 
 def normalize(v: Tensor) -> Tensor:
     """``[..., 3]`` to unit length; zero and non-finite vectors become 0 with gradient 0."""
-    return _stacked(normalize_components(_widened(v)), v)
+    return _stacked(normalize_components(_widened(v, "v")), v)
 
 
-def _widened(v: Tensor) -> Vec:
-    return components(numerics.widen(v))
+def _widened(v: Tensor, name: str) -> Vec:
+    return components(numerics.widen(arguments.floats(v, name, 3)))
 
 
 def _stacked(parts: Sequence[Tensor], like: Tensor) -> Tensor:
@@ -134,7 +134,7 @@ def reflect_components(w: Vec, n: Vec) -> Vec:
 
 def reflect(w: Tensor, n: Tensor) -> Tensor:
     """Mirror direction ``2 (n.w) n - w`` of ``w [..., 3]`` (pointing away from the surface) about the unit normal ``n [..., 3]``."""
-    return _stacked(reflect_components(_widened(w), _widened(n)), w)
+    return _stacked(reflect_components(_widened(w, "w"), _widened(n, "n")), w)
 
 
 def refract(w: Tensor, n: Tensor, eta: Tensor | float) -> tuple[Tensor, Tensor]:
@@ -145,7 +145,7 @@ def refract(w: Tensor, n: Tensor, eta: Tensor | float) -> tuple[Tensor, Tensor]:
     internal reflection ``wt`` is 0 with gradient 0. Source: Heckbert 1989 in the ``g`` form of Cook & Torrance 1982,
     which stays accurate at the critical angle. Not smooth at that angle (true slope -inf just outside, 0 inside).
     """
-    wc, nc = _widened(w), _widened(n)
+    wc, nc = _widened(w, "w"), _widened(n, "n")
     ratio = torch.as_tensor(eta, dtype=wc.x.dtype, device=w.device)
     ratio = ratio.squeeze(-1) if ratio.dim() else ratio
     # To the last digit and its sign: near the critical angle, and in the plane of the surface, rounding would choose the result.
@@ -172,17 +172,17 @@ class Frame(NamedTuple):
         Without a tangent: Duff et al. 2017 (eq. 4, with copysign), accurate to 1.3 eps for every n; its x axis jumps where
         n.z changes sign. A tangent that is zero or parallel to n falls back to it.
         """
-        axes = frame_components(_widened(n), None if tangent is None else _widened(tangent))
+        axes = frame_components(_widened(n, "n"), None if tangent is None else _widened(tangent, "tangent"))
         return Frame(*(_stacked(a, n) for a in axes))
 
     def to_local(self, w: Tensor) -> Tensor:
         """World ``w [..., 3]`` -> local."""
-        wc = _widened(w)
-        return _stacked([dot(_widened(a), wc) for a in self], w)
+        wc = _widened(w, "w")
+        return _stacked([dot(_widened(a, "axis"), wc) for a in self], w)
 
     def to_world(self, w: Tensor) -> Tensor:
         """Local ``w [..., 3]`` -> world."""
-        return _stacked(combine(tuple(_widened(a) for a in self), _widened(w)), w)
+        return _stacked(combine(tuple(_widened(a, "axis") for a in self), _widened(w, "w")), w)
 
 
 def combine(axes: Sequence[Vec], w: Vec) -> Vec:
