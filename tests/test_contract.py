@@ -17,7 +17,7 @@ from torchbrdf.interval import UNIT
 from torchbrdf.optics.fresnel import Fresnel
 from torchbrdf.testing import PROPERTIES, instances, run
 from torchbrdf.testing.report import compiles
-from torchbrdf.value import value
+from torchbrdf.value import COLOUR, value
 
 FAST = [p for p in PROPERTIES if p is not compiles]
 INSTANCES = list(instances())
@@ -85,7 +85,7 @@ def test_registered_models_have_instances():
 class Retroreflector(Bsdf):
     """A user's own model: 2 albedo (wi.wo)^2 / pi ... of no physical merit, but reciprocal and bounded."""
 
-    albedo: Tensor = tb.param(UNIT, None, "strength")
+    albedo: Tensor = tb.param(UNIT, COLOUR, "strength")
 
     lobes = (tb.Lobe.GLOSSY,)
 

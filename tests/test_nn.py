@@ -8,7 +8,7 @@ from torch.autograd import gradcheck
 
 import torchbrdf as tb
 from torchbrdf.interval import NONNEGATIVE, REAL, UNIT
-from torchbrdf.value import value
+from torchbrdf.value import COLOUR, value
 
 ETA = tb.Dielectric.params()["eta"].constraint
 
@@ -17,8 +17,8 @@ ETA = tb.Dielectric.params()["eta"].constraint
 class Pair(tb.Value):
     """Two parameters of one range."""
 
-    first: torch.Tensor = tb.param(UNIT, None)
-    second: torch.Tensor = tb.param(UNIT, None)
+    first: torch.Tensor = tb.param(UNIT, COLOUR)
+    second: torch.Tensor = tb.param(UNIT, COLOUR)
 
 
 def points(*pixels, **fields):

@@ -25,17 +25,27 @@ VALUES: dict[str, type["Value"]] = {}
 
 @dataclasses.dataclass(frozen=True)
 class Param:
-    """What :func:`param` declares. ``size`` is the trailing size: 1, 2, 3, or None for colour ``C``."""
+    """What :func:`param` declares. ``event`` is the shape of one parameter, the axes behind the batch axes."""
 
     constraint: Interval
-    size: int | None
+    event: tuple[int | str, ...]
     doc: str = ""
     kind: str = "float"  # "float", "int" or "bool"
 
+    @property
+    def size(self) -> int | None:
+        """The trailing size; None for a colour ``C``."""
+        return None if isinstance(self.event[-1], str) else self.event[-1]
 
-def param(constraint: Interval, size: int | None, doc: str = "", default: Any = dataclasses.MISSING, kind: str = "float") -> Any:
-    """A tensor field ``[..., size]`` (``size=None``: ``[..., C]``, any number of channels) that must lie in ``constraint``."""
-    return dataclasses.field(default=default, metadata={"param": Param(constraint, size, doc, kind)})
+
+SCALAR, PAIR, VECTOR, COLOUR = (1,), (2,), (3,), ("C",)  # the usual shapes of one parameter
+
+
+def param(
+    constraint: Interval, event: tuple[int | str, ...], doc: str = "", default: Any = dataclasses.MISSING, kind: str = "float"
+) -> Any:
+    """A tensor field ``[..., *event]`` that must lie in ``constraint``; a name in ``event`` stands for any size, ``COLOUR`` is ``("C",)``."""
+    return dataclasses.field(default=default, metadata={"param": Param(constraint, event, doc, kind)})
 
 
 def _to_tensor(x: Any, where: str, kind: str) -> Tensor:

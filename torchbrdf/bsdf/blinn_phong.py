@@ -29,7 +29,7 @@ from .. import numerics, vector
 from ..geometry import Geometry
 from ..interval import UNIT
 from ..optics.fresnel import Fresnel
-from ..value import param, value
+from ..value import COLOUR, SCALAR, param, value
 from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, draw_from, nearest
 from .phong import EXPONENT, cosine_power_direction, fresnel_kink, tinted
@@ -44,8 +44,8 @@ def normal_view_factor(s: Tensor) -> Tensor:
 class BlinnPhong(Bsdf):
     """``specular N(s) F(wi.h) (n.h)^s``, of directional albedo ``specular`` at normal view."""
 
-    specular: Tensor = param(UNIT, None, "strength k")
-    exponent: Tensor = param(EXPONENT, 1, "s")
+    specular: Tensor = param(UNIT, COLOUR, "strength k")
+    exponent: Tensor = param(EXPONENT, SCALAR, "s")
     fresnel: Fresnel | None = None
 
     lobes = (Lobe.GLOSSY,)

@@ -12,7 +12,7 @@ from torch import Tensor
 from .. import numerics
 from ..geometry import Geometry, each
 from ..interval import Interval
-from ..value import param, value
+from ..value import COLOUR, param, value
 from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, inverse_density, local_normal, nearest
 
@@ -116,7 +116,7 @@ class Scaled(Bsdf):
     """
 
     inner: Bsdf
-    factor: Tensor = param(Interval(0.0, typical=(0.1, 1.0)), None, "colour that multiplies the model")
+    factor: Tensor = param(Interval(0.0, typical=(0.1, 1.0)), COLOUR, "colour that multiplies the model")
 
     def __post_init__(self) -> None:
         if not isinstance(self.inner, Bsdf):

@@ -25,7 +25,7 @@ from torch import Tensor
 from .. import numerics
 from ..geometry import Geometry
 from ..interval import UNIT
-from ..value import param, value
+from ..value import COLOUR, param, value
 from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, draw_from, join
 
@@ -34,7 +34,7 @@ from .base import Bsdf, Channels, Draw, Lobe, draw_from, join
 class Lambert(Bsdf):
     """Ideal diffuse reflection ``albedo / pi``."""
 
-    albedo: Tensor = param(UNIT, None, "fraction of the incident power that is reflected")
+    albedo: Tensor = param(UNIT, COLOUR, "fraction of the incident power that is reflected")
 
     lobes = (Lobe.DIFFUSE,)
 

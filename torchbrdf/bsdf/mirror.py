@@ -25,7 +25,7 @@ from torch import Tensor
 from ..geometry import Geometry, each
 from ..interval import UNIT
 from ..optics.fresnel import Fresnel
-from ..value import param, value
+from ..value import COLOUR, param, value
 from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, join, nearest
 
@@ -34,7 +34,7 @@ from .base import Bsdf, Channels, Draw, Lobe, join, nearest
 class Mirror(Bsdf):
     """A smooth mirror of reflectance ``tint F(cos)``."""
 
-    tint: Tensor = param(UNIT, None, "colour that multiplies the Fresnel term", default=1.0)
+    tint: Tensor = param(UNIT, COLOUR, "colour that multiplies the Fresnel term", default=1.0)
     fresnel: Fresnel | None = None
 
     lobes = (Lobe.MIRROR,)

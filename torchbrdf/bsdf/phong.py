@@ -38,7 +38,7 @@ from .. import numerics, vector
 from ..geometry import Geometry, each
 from ..interval import NONNEGATIVE, Interval
 from ..optics.fresnel import Fresnel
-from ..value import param, value
+from ..value import COLOUR, SCALAR, param, value
 from ..vector import Vec
 from .base import Bsdf, Channels, Draw, Lobe, draw_from, nearest
 
@@ -54,8 +54,8 @@ NORMALIZATIONS = {
 class Phong(Bsdf):
     """``specular N(s) F(wi.h) (wi.R(wo))^s`` with the normalisation ``"modified"``, ``"bound"`` or ``"none"``."""
 
-    specular: Tensor = param(NONNEGATIVE, None, "strength k")
-    exponent: Tensor = param(EXPONENT, 1, "s")
+    specular: Tensor = param(NONNEGATIVE, COLOUR, "strength k")
+    exponent: Tensor = param(EXPONENT, SCALAR, "s")
     fresnel: Fresnel | None = None
     normalization: str = "modified"
 

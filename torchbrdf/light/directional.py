@@ -20,7 +20,7 @@ from torch import Tensor
 
 from .. import numerics, vector
 from ..interval import NONNEGATIVE, REAL
-from ..value import param, value
+from ..value import COLOUR, VECTOR, param, value
 from ..vector import Vec
 from .base import Arrival, LocalLight, colour_parts
 
@@ -29,8 +29,8 @@ from .base import Arrival, LocalLight, colour_parts
 class DirectionalLight(LocalLight):
     """L parallel lights; ``direction [L, 3]`` points to the light, ``irradiance [L, C]`` is on a plane facing it."""
 
-    direction: Tensor = param(REAL, 3, "to the light")
-    irradiance: Tensor = param(NONNEGATIVE, None, "on a plane facing the light, W/m^2")
+    direction: Tensor = param(REAL, VECTOR, "to the light")
+    irradiance: Tensor = param(NONNEGATIVE, COLOUR, "on a plane facing the light, W/m^2")
 
     def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
         return [Arrival(vector.normalize_components(Vec(*d.unbind(-1))), None, colour_parts(e, wide)) for d, e in self.rows(points.x)]

@@ -42,7 +42,7 @@ from torch import Tensor
 from .. import arguments, numerics, vector
 from ..interval import NONNEGATIVE, REAL
 from ..pictures import read_image
-from ..value import param, value
+from ..value import COLOUR, VECTOR, param, value
 from ..vector import Vec
 from .base import Light
 
@@ -69,8 +69,8 @@ HEADROOM = 2.0**32  # nearer to a pole, the slope 1/distance, times radiance and
 class EnvironmentMap(Light):
     """Distant light given by a lat-long map of radiance ``texels [Hm, Wm, C]`` in a named orientation."""
 
-    texels: Tensor = param(NONNEGATIVE, None, "radiance, W/(m² sr)")
-    to_world: Tensor | None = param(REAL, 3, "rotation that turns the map", default=None)
+    texels: Tensor = param(NONNEGATIVE, COLOUR, "radiance, W/(m² sr)")
+    to_world: Tensor | None = param(REAL, VECTOR, "rotation that turns the map", default=None)
     convention: str = "mitsuba"
 
     def check_shapes(self) -> None:

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from .. import numerics, vector
 from ..interval import NONNEGATIVE, REAL
-from ..value import param, value
+from ..value import COLOUR, VECTOR, param, value
 from ..vector import Vec
 from .base import Arrival, LocalLight, colour_parts
 
@@ -30,8 +30,8 @@ from .base import Arrival, LocalLight, colour_parts
 class PointLight(LocalLight):
     """L point lights at ``position [L, 3]`` of radiant ``intensity [L, C]``."""
 
-    position: Tensor = param(REAL, 3, "where the lights are")
-    intensity: Tensor = param(NONNEGATIVE, None, "radiant intensity, W/sr")
+    position: Tensor = param(REAL, VECTOR, "where the lights are")
+    intensity: Tensor = param(NONNEGATIVE, COLOUR, "radiant intensity, W/sr")
 
     def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
         found = []

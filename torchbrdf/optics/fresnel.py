@@ -25,7 +25,7 @@ from torch import Tensor
 from .. import numerics
 from ..geometry import Geometry, each
 from ..interval import UNIT, Interval
-from ..value import Value, param, value
+from ..value import COLOUR, Value, param, value
 from ..vector import stack
 
 __all__ = ["amplitudes", "conductor", "dielectric", "refraction_cosine", "schlick"]
@@ -204,7 +204,7 @@ def _need_trailing_one(cos_i: Tensor) -> Tensor:
 class Dielectric(Fresnel):
     """Exact dielectric term (:func:`dielectric`). ``eta``: n(inside) / n(outside); 1.5 is glass in air."""
 
-    eta: Tensor = param(ETA, None, "index of refraction, inside over outside")
+    eta: Tensor = param(ETA, COLOUR, "index of refraction, inside over outside")
 
     def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
         return each(lambda eta: dielectric(cos, eta), g.colour(self.eta))
@@ -219,8 +219,8 @@ class Dielectric(Fresnel):
 class Conductor(Fresnel):
     """Exact conductor term (:func:`conductor`) of the complex index ``eta + i k``, one value per channel."""
 
-    eta: Tensor = param(Interval(0.0, open_low=True, typical=(0.1, 3.0), hard=(0.5, 1.0, 10.0)), None, "real part of the index")
-    k: Tensor = param(Interval(0.0, typical=(0.5, 7.0), hard=(1e3,), flat=(0.0,)), None, "imaginary part of the index")
+    eta: Tensor = param(Interval(0.0, open_low=True, typical=(0.1, 3.0), hard=(0.5, 1.0, 10.0)), COLOUR, "real part of the index")
+    k: Tensor = param(Interval(0.0, typical=(0.5, 7.0), hard=(1e3,), flat=(0.0,)), COLOUR, "imaginary part of the index")
 
     def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
         return each(lambda eta, k: conductor(cos, eta, k), g.colour(self.eta), g.colour(self.k))
@@ -238,7 +238,7 @@ class Conductor(Fresnel):
 class Schlick(Fresnel):
     """Schlick's approximation (:func:`schlick`) from the colour ``f0`` at normal incidence."""
 
-    f0: Tensor = param(UNIT, None, "reflectance at normal incidence")
+    f0: Tensor = param(UNIT, COLOUR, "reflectance at normal incidence")
 
     def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
         grazing = _fifth_power(numerics.positive(1.0 - cos))  # once for all channels; cos may exceed 1 by rounding

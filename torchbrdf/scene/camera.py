@@ -24,7 +24,7 @@ from torch import Tensor
 
 from .. import arguments, vector
 from ..interval import REAL, Interval
-from ..value import Value, param, value
+from ..value import PAIR, VECTOR, Value, param, value
 from ..vector import Vec, components, cross, dot, stack
 
 FOCAL = Interval(0.0, open_low=True, typical=(10.0, 1000.0))
@@ -37,12 +37,12 @@ CONVENTIONS = {"opencv": 1.0, "opengl": -1.0, "blender": -1.0}
 class Camera(Value):
     """A pinhole camera: ``origin``, unit axes ``right``, ``down``, ``forward``, ``focal`` and ``principal`` in pixels (x, y)."""
 
-    origin: Tensor = param(REAL, 3, "centre of projection, world units")
-    right: Tensor = param(REAL, 3, "unit, along +x of the image")
-    down: Tensor = param(REAL, 3, "unit, along +y of the image")
-    forward: Tensor = param(REAL, 3, "unit, into the scene")
-    focal: Tensor = param(FOCAL, 2, "focal lengths (x, y), pixels")
-    principal: Tensor = param(REAL, 2, "principal point (x, y), pixels from the top left corner")
+    origin: Tensor = param(REAL, VECTOR, "centre of projection, world units")
+    right: Tensor = param(REAL, VECTOR, "unit, along +x of the image")
+    down: Tensor = param(REAL, VECTOR, "unit, along +y of the image")
+    forward: Tensor = param(REAL, VECTOR, "unit, into the scene")
+    focal: Tensor = param(FOCAL, PAIR, "focal lengths (x, y), pixels")
+    principal: Tensor = param(REAL, PAIR, "principal point (x, y), pixels from the top left corner")
     size: tuple[int, int] = (256, 256)
 
     def __post_init__(self) -> None:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from .. import arguments, vector
 from ..interval import REAL, Interval
-from ..value import Value, param, validate, value
+from ..value import PAIR, SCALAR, VECTOR, Value, param, validate, value
 from .camera import Camera
 from .mesh import Mesh
 
@@ -23,17 +23,17 @@ class GBuffer(Value):
     Normals point where the surface's outside is and are not turned to the viewer: back faces are black unless two-sided.
     """
 
-    position: Tensor = param(REAL, 3, "world position")
-    normal: Tensor = param(REAL, 3, "shading normal, unit; zero or NaN masks the pixel out")
-    view: Tensor | None = param(REAL, 3, "unit, from the surface to the viewer", default=None)
-    geometric_normal: Tensor | None = param(REAL, 3, "unit normal of the true surface, by winding", default=None)
-    uv: Tensor | None = param(REAL, 2, "texture coordinates, v upwards", default=None)
-    tangent: Tensor | None = param(REAL, 3, "unit, along growing u; 0 where there is none", default=None)
-    depth: Tensor | None = param(REAL, 1, "distance along the ray", default=None)
-    mask: Tensor | None = param(REAL, 1, "where there is a surface; None: wherever the normal is usable", default=None, kind="bool")
-    triangle: Tensor | None = param(REAL, 1, "face index, -1 for none", default=None, kind="int")
-    barycentric: Tensor | None = param(REAL, 3, "weights of the face's three vertices", default=None)
-    material: Tensor | None = param(INDEX, 1, "material id, 0 where there is no surface", default=None, kind="int")
+    position: Tensor = param(REAL, VECTOR, "world position")
+    normal: Tensor = param(REAL, VECTOR, "shading normal, unit; zero or NaN masks the pixel out")
+    view: Tensor | None = param(REAL, VECTOR, "unit, from the surface to the viewer", default=None)
+    geometric_normal: Tensor | None = param(REAL, VECTOR, "unit normal of the true surface, by winding", default=None)
+    uv: Tensor | None = param(REAL, PAIR, "texture coordinates, v upwards", default=None)
+    tangent: Tensor | None = param(REAL, VECTOR, "unit, along growing u; 0 where there is none", default=None)
+    depth: Tensor | None = param(REAL, SCALAR, "distance along the ray", default=None)
+    mask: Tensor | None = param(REAL, SCALAR, "where there is a surface; None: wherever the normal is usable", default=None, kind="bool")
+    triangle: Tensor | None = param(REAL, SCALAR, "face index, -1 for none", default=None, kind="int")
+    barycentric: Tensor | None = param(REAL, VECTOR, "weights of the face's three vertices", default=None)
+    material: Tensor | None = param(INDEX, SCALAR, "material id, 0 where there is no surface", default=None, kind="int")
 
     @staticmethod
     def from_mesh(mesh: Mesh, camera: Camera) -> "GBuffer":

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .. import arguments, files
 from ..interval import REAL, Interval
-from ..value import Value, param, value
+from ..value import PAIR, SCALAR, VECTOR, Value, param, value
 from .vertex_normals import angle_weighted
 
 INDEX = Interval(0.0)
@@ -27,12 +27,12 @@ class Mesh(Value):
     has no batch axes.
     """
 
-    vertices: Tensor = param(REAL, 3, "positions [V, 3]")
-    faces: Tensor = param(INDEX, 3, "vertex indices [F, 3]", kind="int")
-    normals: Tensor | None = param(REAL, 3, "shading normals [V, 3], any length", default=None)
-    uv: Tensor | None = param(REAL, 2, "texture coordinates [V, 2], v upwards", default=None)
-    material: Tensor | None = param(INDEX, 1, "material id per face [F, 1]", default=None, kind="int")
-    uv_faces: Tensor | None = param(INDEX, 3, "indices into uv [F, 3], where they differ from faces", default=None, kind="int")
+    vertices: Tensor = param(REAL, VECTOR, "positions [V, 3]")
+    faces: Tensor = param(INDEX, VECTOR, "vertex indices [F, 3]", kind="int")
+    normals: Tensor | None = param(REAL, VECTOR, "shading normals [V, 3], any length", default=None)
+    uv: Tensor | None = param(REAL, PAIR, "texture coordinates [V, 2], v upwards", default=None)
+    material: Tensor | None = param(INDEX, SCALAR, "material id per face [F, 1]", default=None, kind="int")
+    uv_faces: Tensor | None = param(INDEX, VECTOR, "indices into uv [F, 3], where they differ from faces", default=None, kind="int")
 
     def check_shapes(self) -> None:
         """Row counts must fit together (values are looked at by :meth:`check`)."""
