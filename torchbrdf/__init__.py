@@ -14,13 +14,14 @@ __version__ = "0.1.0"
 # Where each public name lives; the models have a registry of their own.
 # (No public function bears a module's name: tb.plan lives in planning.py.)
 _HOME = {
-    "geometry": ("Geometry",),
+    "geometry": ("Geometry", "Layout", "Viewer"),
     "interval": ("Interval",),
     "vector": ("Frame", "normalize", "reflect", "refract", "is_planar", "planar"),
     "value": ("Value", "load_value", "param", "validate"),
     "pictures": ("read_image", "save_image"),
     "optics.fresnel": ("Fresnel",),
-    "bsdf.base": ("Bsdf", "BSDFSample", "Lobe"),
+    "bsdf.base": ("Bsdf",),
+    "bsdf.lobe": ("BSDFSample", "Lobe"),
     "light.base": ("Light",),
     "light.point": ("PointLight",),
     "light.directional": ("DirectionalLight",),

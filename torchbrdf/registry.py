@@ -14,6 +14,7 @@ BSDFS = {
     "Mirror": "bsdf.mirror",
     "Sum": "bsdf.combine",
     "Scaled": "bsdf.combine",
+    "TwoSided": "bsdf.two_sided",
 }
 FRESNEL_TERMS = {
     "Dielectric": "optics.fresnel",

@@ -190,15 +190,16 @@ def combine(axes: Sequence[Vec], w: Vec) -> Vec:
     return add(add(scale(axes[0], w.x), scale(axes[1], w.y)), scale(axes[2], w.z))
 
 
-def frame_components(n: Vec, tangent: Vec | None = None) -> tuple[Vec, Vec, Vec]:
-    """Axes (x, y, z = n) of :class:`Frame`."""
+def frame_components(n: Vec, tangent: Vec | None = None, handedness: Tensor | None = None) -> tuple[Vec, Vec, Vec]:
+    """Axes (x, y, z = n) of :class:`Frame`; y = ``handedness`` (n x x), right-handed without it."""
     sign = torch.copysign(torch.ones_like(n.z), n.z)
     a = -1.0 / (sign + n.z)
     b = n.x * n.y * a
     x = Vec(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x)
     if tangent is not None:
         x = _along(tangent, n, x)
-    return x, cross(n, x), n
+    y = cross(n, x)
+    return x, y if handedness is None else scale(y, torch.where(handedness < 0, -1.0, 1.0)), n
 
 
 def _along(tangent: Vec, n: Vec, otherwise: Vec) -> Vec:

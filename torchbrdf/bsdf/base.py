@@ -1,55 +1,23 @@
-"""The verbs of every reflection model, written once: normalise, build the shared :class:`Geometry`, mask, stack.
+"""The verbs of every reflection model, written once: normalise, build the shared geometry, mask by the domain, stack.
 
-A model is one formula on :class:`Geometry` (:meth:`Bsdf.formula`), its density and its sampler.
+A model is one formula on :class:`~torchbrdf.geometry.Geometry` (:meth:`Bsdf.formula`), its density and its sampler; a delta lobe
+is one method, :meth:`Bsdf.deltas`.
 """
 
-import enum
 from abc import abstractmethod
-from collections.abc import Iterable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from .. import arguments, numerics, vector
-from ..geometry import Geometry
+from ..geometry import Channels, Geometry, Layout, Viewer
 from ..optics.fresnel import Fresnel
 from ..value import Value
 from ..vector import Vec
+from .lobe import BSDFSample, Delta, Draw, Lobe
 
-Channels = tuple[Tensor, ...]
 PLANAR_CHANNELS = 4  # up to here colours are written out channel by channel; more of them broadcast as [..., C]
-
-
-class Lobe(enum.Enum):
-    """What kind of light transport a lobe is; a plan chooses effects by it."""
-
-    DIFFUSE = "diffuse reflection"
-    GLOSSY = "glossy reflection"
-    MIRROR = "mirror reflection"
-
-    @property
-    def is_delta(self) -> bool:
-        """Whether the lobe reflects into a single direction."""
-        return self is Lobe.MIRROR
-
-
-class BSDFSample(NamedTuple):
-    """What ``sample`` returns. ``pdf`` of a delta lobe is the discrete probability of choosing it."""
-
-    wi: Tensor  # [..., 3] unit, in the frame of wo
-    weight: Tensor  # [..., C] f cos / pdf; 0 for a direction below the horizon
-    pdf: Tensor  # [..., 1] per steradian of wi given wo
-    lobe: Tensor  # [..., 1] index into bsdf.lobes
-
-
-class Draw(NamedTuple):
-    """A sample inside the formulas: components, channels and ``[...]`` tensors."""
-
-    wi: Vec
-    weight: Channels
-    pdf: Tensor
-    lobe: Tensor
 
 
 class Bsdf(Value):
@@ -80,21 +48,32 @@ class Bsdf(Value):
         if len({c for _, c in counts} - {1}) > 1:
             raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
 
+    # What a model says of itself ---------------------------------------------------------------------------------------
+
     @abstractmethod
     def formula(self, g: Geometry) -> Channels:
-        """f in 1/sr per channel, finite for every pair of directions; the caller masks the horizon."""
-
-    def mirror_reflectance(self, g: Geometry) -> Channels:
-        """What the mirror lobes reflect at ``g.cos_o``, per channel: the weight of their sample."""
-        return (torch.zeros_like(g.cos_o),)
+        """f in 1/sr per channel, delta lobes apart, finite for every pair of directions; the caller masks the domain."""
 
     @abstractmethod
     def density(self, g: Geometry) -> Tensor:
-        """pdf ``[...]`` of ``wi`` given ``wo``, 0 for delta lobes."""
+        """pdf ``[...]`` over the whole sphere with which :meth:`draw` gives ``wi``; 0 where there are delta lobes alone."""
 
     @abstractmethod
-    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
-        """Sample in the local frame from uniform numbers ``u``."""
+    def draw(self, viewer: Viewer, u: Vec) -> Draw:
+        """A direction from uniform numbers ``u`` (x, y, and z to choose among lobes), for a viewer in the local frame; no delta lobe."""
+
+    def deltas(self, viewer: Viewer) -> list[Delta]:
+        """What each delta lobe does; none, unless a model says otherwise."""
+        return []
+
+    def domain(self, g: Geometry) -> Tensor:
+        """Where (bool) the model sends light: both directions strictly above the horizon, unless a model says otherwise."""
+        return g.above
+
+    def strength(self, viewer: Viewer) -> Tensor:
+        """A cheap estimate ``[...]`` of the share of light that the lobes other than deltas reflect: how often a sum samples them."""
+        bound = self.energy_bound
+        return torch.ones_like(viewer.cos_o) if bound is None else viewer.layout.average(bound)
 
     @property
     def energy_bound(self) -> Tensor | None:
@@ -106,78 +85,67 @@ class Bsdf(Value):
 
         Derivatives are claimed, and checked, where this is positive.
         """
-        return torch.minimum(g.cos_i, g.cos_o)
+        return torch.minimum(g.cos_i.abs(), g.cos_o.abs())
 
-    def select(self, lobes: Iterable[Lobe]) -> "Bsdf | None":
-        """The part of this model made of the given kinds of lobe; None if nothing is left."""
-        return self if set(self.lobes) & set(lobes) else None
+    # The verbs ---------------------------------------------------------------------------------------------------------
+
+    def select(self, wanted: Lobe) -> "Bsdf | None":
+        """The part of this model made of the wanted kinds of lobe (see :meth:`Lobe.serves`); None if nothing is left."""
+        return self if any(lobe.serves(wanted) for lobe in self.lobes) else None
 
     def evaluate(
         self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False
     ) -> Tensor:
-        """f(wi, wo) in 1/sr, ``[..., C]``, without the cosine. 0 unless both directions are strictly above the horizon."""
+        """f(wi, wo) in 1/sr, ``[..., C]``, without the cosine; 0 outside the model's domain (:meth:`domain`)."""
         g = self.geometry(wi, wo, n, tangent, assume_unit)
-        lit = g.lit.to(g.cos_i.dtype)
-        return join([f * lit for f in self.formula(g)], g.wide).to(wi.dtype)
+        inside = self.domain(g).to(g.cos_i.dtype)
+        return g.viewer.layout.join([f * inside for f in self.formula(g)]).to(wi.dtype)
 
     def pdf(self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False) -> Tensor:
-        """Density ``[..., 1]`` per steradian with which :meth:`sample` gives ``wi`` for ``wo``. Integrates to 1 over the sphere."""
+        """Density ``[..., 1]`` per steradian with which :meth:`sample` gives ``wi`` for ``wo``; 0 outside the model's domain.
+
+        Integrates to 1, less the share of samples that are drawn outside the domain (their weight is 0) and the share of delta lobes.
+        """
+        from .sampler import mixture_density
+
         g = self.geometry(wi, wo, n, tangent, assume_unit)
-        density = torch.where(g.cos_o > 0, self.density(g), 0.0)
-        return (density if g.wide else density.unsqueeze(-1)).to(wi.dtype)
+        density = torch.where(self.domain(g), mixture_density(self, g), 0.0)
+        return g.viewer.layout.join_number(density).to(wi.dtype)
 
     def sample(
         self, wo: Tensor, u: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False
     ) -> BSDFSample:
-        """Draw ``wi`` for ``wo`` from uniform ``u [..., 2]`` in [0, 1)."""
-        if arguments.floats(u, "u").shape[-1:] != (2,):
-            raise ValueError(f"u: expected shape [..., 2] of numbers in [0, 1), found {list(u.shape)}")
-        self._check_directions(u.shape[:-1], wo=wo, n=n, tangent=tangent)
+        """Draw ``wi`` for ``wo`` from uniform ``u [..., 3]`` in [0, 1); u.z chooses the lobe (``[..., 2]`` will do for a single lobe)."""
+        from .sampler import sample
+
+        size = arguments.floats(u, "u").shape[-1:]
+        if size != (3,) and not (size == (2,) and len(self.lobes) == 1):
+            more = f", the third chooses among the {len(self.lobes)} lobes: torch.rand(..., 3)" if size == (2,) else ""
+            raise ValueError(f"u: expected shape [..., 3] of numbers in [0, 1), found {list(u.shape)}{more}")
+        viewer = self.viewer(wo, n, tangent, assume_unit, u.shape[:-1])
         if u.device != wo.device:
             raise TypeError(f"u: on {u.device} beside wo on {wo.device}; convert it with .to(...)")
-        wide = self.is_wide
-        wo_c = _take(wo, wide, assume_unit)
-        n_c, t_c = (None if v is None else _take(v, wide, assume_unit) for v in (n, tangent))
-        u_c = [numerics.widen(x.unsqueeze(-1) if wide else x) for x in u.unbind(-1)]
-        if n_c is None:
-            axes, local = None, wo_c
-        else:
-            axes = vector.frame_components(n_c, t_c)
-            local = Vec(*(vector.dot(a, wo_c) for a in axes))
-        drawn = self.draw(local, Vec(u_c[0], u_c[1], u_c[0]), wide)
-        wi = drawn.wi if axes is None else vector.combine(axes, drawn.wi)
-        return self._sampled(drawn, wi, local.z > 0, wide, wo.dtype)
+        layout = viewer.layout
+        numbers = [layout.lift(numerics.widen(x)) for x in u.unbind(-1)]
+        s = sample(self, viewer, Vec(numbers[0], numbers[1], numbers[-1]))
+        wi = layout.join_vector(s.wi)
+        weight, pdf, eta = layout.join(s.weight), layout.join_number(s.pdf), layout.join_number(s.eta)
+        return BSDFSample(wi.to(wo.dtype), weight.to(wo.dtype), pdf.to(wo.dtype), layout.join_number(s.lobe), eta.to(wo.dtype))
 
-    def _sampled(self, d: Draw, wi: Vec, visible: Tensor, wide: bool, dtype: torch.dtype) -> BSDFSample:
-        up = visible & (d.wi.z > 0)
-        weight = join([torch.where(up, w, 0.0) for w in d.weight], wide)
-        pdf = torch.where(visible, d.pdf, 0.0)
-        wi, pdf, lobe = (wi, pdf.unsqueeze(-1), d.lobe.unsqueeze(-1)) if not wide else (Vec(*(c[..., 0] for c in wi)), pdf, d.lobe)
-        return BSDFSample(vector.stack(wi).to(dtype), weight.to(dtype), pdf.to(dtype), lobe)
+    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
+        """Power fraction ``[..., C]`` of light arriving along ``w`` that leaves again, to any side.
 
-    def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
-        """Power fraction ``[..., C]`` of light arriving along ``wo`` that leaves again.
-
-        In closed form where there is one; else by a product quadrature of ``order^2`` nodes over the sampler's own unit
-        square, where the integrand is ``sample(...).weight`` (error about 1e-3 at order 48, from the kink at the horizon).
+        In closed form where there is one; else by a product quadrature of ``order^2`` nodes over the sampler's own unit square
+        (error about 1e-3 at order 48, from the kink at the horizon), in chunks of bounded memory.
         """
-        arguments.floats(wo, "wo", 3)
+        from .albedo import albedo
+
         if not isinstance(order, int) or order < 1:
             raise ValueError(f"order: expected the number of nodes along one side, a whole number >= 1, found {order!r}")
-        x, weights = (t.to(numerics.working_dtype(wo.dtype)).to(wo.device) for t in gauss_legendre(order))
-        azimuth = (torch.arange(order, dtype=x.dtype, device=x.device) + 0.5) / order
-        u = torch.stack(torch.meshgrid(x, azimuth, indexing="ij"), -1).reshape(-1, 2)
-        out = torch.zeros((), dtype=x.dtype, device=x.device)
-        w = weights.repeat_interleave(order) / order
-        lead = (order * order,) + (1,) * len(torch.broadcast_shapes(wo.shape[:-1], self.batch_shape, () if n is None else n.shape[:-1]))
-        s = self.sample(numerics.widen(wo), u.reshape(*lead, 2), None if n is None else numerics.widen(n))
-        return (out + (s.weight * w.reshape(*lead, 1)).sum(0)).to(wo.dtype)
+        viewer = self.viewer(arguments.floats(w, "w", 3), n, tangent)
+        return viewer.layout.join(albedo(self, viewer, order)).to(w.dtype)
 
-    def mixture_weight(self, wo: Vec, wide: bool) -> Tensor:
-        """The share ``[...]`` of samples that a sum should give this model: its directional albedo, coarsely, detached."""
-        flat = Vec(*(c[..., 0] for c in wo)) if wide else wo
-        albedo = self.detach().directional_albedo(vector.stack(flat).detach(), order=6).mean(-1)
-        return albedo.unsqueeze(-1) if wide else albedo
+    # Around them -------------------------------------------------------------------------------------------------------
 
     @property
     def is_wide(self) -> bool:
@@ -194,14 +162,21 @@ class Bsdf(Value):
     ) -> Geometry:
         """Check the directions against the parameters and take them apart."""
         self._check_directions(wi=wi, wo=wo, n=n, tangent=tangent)
-        wide = self.is_wide
-        wi_c, wo_c = (_take(v, wide, assume_unit) for v in (wi, wo))
-        n_c, t_c = (None if v is None else _take(v, wide, assume_unit) for v in (n, tangent))
-        return Geometry(wi_c, wo_c, n_c if n_c is not None else local_normal(wi_c), t_c, wide)
+        viewer = self._viewer(wo, n, tangent, assume_unit)
+        return Geometry(viewer, _unit(viewer.layout, wi, assume_unit))
 
-    def view_geometry(self, wo: Tensor, n: Tensor | None) -> Geometry:
-        """The geometry of what depends on ``wo`` alone."""
-        return self.geometry(arguments.floats(wo, "wo", 3), wo, n)
+    def viewer(
+        self, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, assume_unit: bool = False, batch: tuple[int, ...] = ()
+    ) -> Viewer:
+        """Check what belongs to the viewer, and the ``batch`` axes of random numbers, against the parameters; and take it apart."""
+        self._check_directions(batch, wo=wo, n=n, tangent=tangent)
+        return self._viewer(wo, n, tangent, assume_unit)
+
+    def _viewer(self, wo: Tensor, n: Tensor | None, tangent: Tensor | None, assume_unit: bool) -> Viewer:
+        layout = Layout.beside(wo, self.is_wide)
+        normal = None if n is None else _unit(layout, n, assume_unit)
+        along = None if tangent is None else layout.vector(tangent)  # made unit by the viewer, where a model asks for a frame
+        return Viewer(_unit(layout, wo, assume_unit), normal, along, layout=layout)
 
     def _check_directions(self, u: tuple[int, ...] = (), **given: Tensor | None) -> None:
         """Directions must be tensors ``[..., 3]`` of one dtype and device, that of the parameters, and broadcast with them."""
@@ -236,32 +211,19 @@ def _kind(t: Tensor) -> str:
 
 
 def check_same_kind(v: Value, reference: Tensor, name: str) -> None:
-    """Batched parameters must have the dtype and device of ``reference``; unbatched CPU ones follow it."""
+    """Parameters with batch axes must have the dtype and device of ``reference``; those without follow it."""
     for field, t, _ in v.own_tensors():
-        follows = t.dim() == 1 and t.device.type == "cpu"
-        if not follows and (t.dtype != reference.dtype or t.device != reference.device):
+        if t.dim() > 1 and (t.dtype != reference.dtype or t.device != reference.device):
             raise TypeError(f"{type(v).__name__}.{field}: {_kind(t)} beside {name}: {_kind(reference)}; convert one with .to(...)")
     for inner in v.nested():
         check_same_kind(inner, reference, name)
 
 
-def _take(v: Tensor, wide: bool, assume_unit: bool) -> Vec:
-    c = vector.components(numerics.widen(v))
+def _unit(layout: Layout, v: Tensor, assume_unit: bool) -> Vec:
+    parts = vector.components(numerics.widen(v))
     if not assume_unit:
-        c = vector.normalize_components(c)
-    return Vec(*(x.unsqueeze(-1) for x in c)) if wide else c
-
-
-def local_normal(w: Vec) -> Vec:
-    """The z axis, without batch axes, in the dtype and on the device of ``w``."""
-    zero = w.x.new_zeros(())
-    return Vec(zero, zero, w.x.new_ones(()))
-
-
-def join(channels: Iterable[Tensor], wide: bool) -> Tensor:
-    """Channels of a formula -> ``[..., C]``."""
-    parts = tuple(channels)
-    return parts[0] if wide else vector.stack(parts)
+        parts = vector.normalize_components(parts)
+    return Vec(*map(layout.lift, parts))
 
 
 def nearest(*distances: Tensor) -> Tensor:
@@ -270,24 +232,3 @@ def nearest(*distances: Tensor) -> Tensor:
     for d in distances[1:]:
         least = torch.minimum(least, d)
     return least
-
-
-def inverse_density(pdf: Tensor) -> Tensor:
-    """1 / pdf; 0 for a direction of negligible density, which a sampler gives by rounding alone."""
-    return numerics.reciprocal_or_zero(pdf, numerics.negligible(pdf.dtype))
-
-
-def draw_from(model: Bsdf, wi: Vec, wo: Vec, wide: bool) -> Draw:
-    """Finish a non-delta sample: weight = f cos / pdf from the model's own formula and density."""
-    g = Geometry(wi, wo, local_normal(wi), None, wide)
-    pdf = model.density(g)
-    factor = torch.where(g.lit, wi.z * inverse_density(pdf), 0.0)
-    return Draw(wi, tuple(f * factor for f in model.formula(g)), pdf, torch.zeros_like(pdf, dtype=torch.int64))
-
-
-def gauss_legendre(order: int) -> tuple[Tensor, Tensor]:
-    """Nodes and weights on [0, 1]."""
-    import numpy as np
-
-    x, w = np.polynomial.legendre.leggauss(order)
-    return torch.from_numpy(0.5 * (x + 1.0)), torch.from_numpy(0.5 * w)

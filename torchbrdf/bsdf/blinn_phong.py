@@ -25,14 +25,15 @@ import math
 import torch
 from torch import Tensor
 
-from .. import numerics, vector
-from ..geometry import Geometry
+from .. import numerics, sampling, vector
+from ..geometry import Channels, Geometry, Viewer
 from ..interval import UNIT
 from ..optics.fresnel import Fresnel
 from ..value import COLOUR, SCALAR, param, value
 from ..vector import Vec
-from .base import Bsdf, Channels, Draw, Lobe, draw_from, nearest
-from .phong import EXPONENT, cosine_power_direction, fresnel_kink, tinted
+from .base import Bsdf, nearest
+from .lobe import Draw, Lobe
+from .phong import EXPONENT, fresnel_kink, peak_reflectance, tinted
 
 
 def normal_view_factor(s: Tensor) -> Tensor:
@@ -48,7 +49,7 @@ class BlinnPhong(Bsdf):
     exponent: Tensor = param(EXPONENT, SCALAR, "s")
     fresnel: Fresnel | None = None
 
-    lobes = (Lobe.GLOSSY,)
+    lobes = (Lobe.GLOSSY_REFLECTION,)
 
     def formula(self, g: Geometry) -> Channels:
         s = g.scalar(self.exponent)
@@ -59,10 +60,14 @@ class BlinnPhong(Bsdf):
         s = g.scalar(self.exponent)
         return half_vector_power(g, s + 1.0) * (s + 2.0) / (4.0 * math.pi) * g.inverse_half
 
-    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
-        s = Geometry(wo, wo, wo, None, wide).scalar(self.exponent)
-        h = cosine_power_direction(u, s + 2.0)
-        return draw_from(self, vector.reflect_components(wo, h), wo, wide)
+    def draw(self, viewer: Viewer, u: Vec) -> Draw:
+        """The half vector in proportion to cos^(s+1), and the mirror direction about it."""
+        half = sampling.cosine_power(u.x, u.y, viewer.scalar(self.exponent) + 2.0)
+        return Draw(vector.reflect_components(viewer.wo, half))
+
+    def strength(self, viewer: Viewer) -> Tensor:
+        """The albedo at normal view, with F at the mirror direction."""
+        return peak_reflectance(viewer, self.specular, self.fresnel)
 
     def kink_distance(self, g: Geometry) -> Tensor:
         """The missing half vector of wi = -wo, too, and what is not smooth about F."""

@@ -1,20 +1,20 @@
 """Models made of models: ``a + b`` and ``scale * a``.
 
-A sum adds the lobes; they share one :class:`Geometry`. It samples one of its terms, chosen in proportion to the detached
-directional albedo of each, and its pdf is that mixture's. A scaled model multiplies by a colour ``[..., C]`` >= 0.
+A sum adds the lobes; they share one :class:`~torchbrdf.geometry.Geometry`. It samples one of its terms, chosen in proportion to a
+cheap estimate of what each reflects (``strength``), and its pdf is that mixture's. A scaled model multiplies by a colour ``[..., C]`` >= 0.
 """
-
-from collections.abc import Iterable
 
 import torch
 from torch import Tensor
 
-from .. import numerics
-from ..geometry import Geometry, each
+from ..geometry import Channels, Geometry, Viewer, each
 from ..interval import Interval
+from ..sampling import choose
 from ..value import COLOUR, param, value
 from ..vector import Vec
-from .base import Bsdf, Channels, Draw, Lobe, inverse_density, local_normal, nearest
+from .base import Bsdf, nearest
+from .lobe import Delta, Draw, Lobe
+from .sampler import has_spread, normalised
 
 
 @value
@@ -51,61 +51,59 @@ class Sum(Bsdf):
     def kink_distance(self, g: Geometry) -> Tensor:
         return nearest(*(t.kink_distance(g) for t in self.terms))
 
-    def select(self, lobes: Iterable[Lobe]) -> Bsdf | None:
-        kinds = tuple(lobes)
-        kept = tuple(s for t in self.terms if (s := t.select(kinds)) is not None)
+    def select(self, wanted: Lobe) -> Bsdf | None:
+        kept = tuple(s for t in self.terms if (s := t.select(wanted)) is not None)
         return Sum(kept) if len(kept) > 1 else kept[0] if kept else None
 
-    def formula(self, g: Geometry) -> Channels:
-        return _total([t.formula(g) for t in self.terms])
+    def domain(self, g: Geometry) -> Tensor:
+        """The union of the terms' domains; outside its own, each term is 0."""
+        found = self.terms[0].domain(g)
+        for t in self.terms[1:]:
+            found = found | t.domain(g)
+        return found
 
-    def mirror_reflectance(self, g: Geometry) -> Channels:
-        return _total([t.mirror_reflectance(g) for t in self.terms])
+    def formula(self, g: Geometry) -> Channels:
+        total = _inside(self.terms[0], g, self.terms)
+        for t in self.terms[1:]:
+            total = each(torch.add, total, _inside(t, g, self.terms))
+        return total
+
+    def strength(self, viewer: Viewer) -> Tensor:
+        return sum((t.strength(viewer) for t in self._spread()), torch.zeros_like(viewer.cos_o))
 
     def density(self, g: Geometry) -> Tensor:
-        shares = self._shares(g)
-        return sum((p * t.density(g) for p, t in zip(shares, self.terms, strict=True)), torch.zeros_like(g.cos_i))
+        parts = zip(self._shares(g.viewer), self._spread(), strict=True)
+        return sum((share * t.density(g) for share, t in parts), torch.zeros_like(g.cos_i + g.cos_o))
 
-    def _shares(self, g: Geometry) -> list[Tensor]:
-        """The probability of each term; equal ones where nothing reflects. Sampler and pdf must agree on it, frame or no frame."""
-        weights = [t.mixture_weight(g.wo_local(), g.wide) for t in self.terms]
-        total = sum(weights[1:], weights[0])
-        return [torch.where(total > 0, w / torch.where(total > 0, total, 1.0), 1.0 / len(weights)) for w in weights]
+    def draw(self, viewer: Viewer, u: Vec) -> Draw:
+        """Choose a term with ``u.z``, and draw from it."""
+        chosen, rest = choose(u.z, self._shares(viewer))
+        numbers = Vec(u.x, u.y, rest)
+        found: Draw | None = None
+        for mask, term in zip(chosen, self._spread(), strict=True):
+            drawn = term.draw(viewer, numbers)
+            drawn = drawn._replace(lobe=drawn.lobe + self._first_lobe(term))
+            found = drawn if found is None else _choose(mask, drawn, found)
+        assert found is not None
+        return found
 
-    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
-        """Choose a term with ``u.x``, stretch its interval back to [0, 1), and sample the term with it."""
-        shares = self._shares(Geometry(wo, wo, local_normal(wo), None, wide))
-        below = torch.zeros_like(shares[0])
-        chosen: Draw | None = None
-        offset = 0
-        for share, term in zip(shares, self.terms, strict=True):
-            mine = (u.x >= below) & (share > 0)
-            stretched = numerics.unit_interval((u.x - below) / torch.where(share > 0, share, 1.0))
-            fraction = torch.where(mine, stretched.clamp_max(1.0 - torch.finfo(below.dtype).eps), 0.5)
-            one = term.draw(wo, Vec(fraction, u.y, fraction), wide)
-            one = self._mixed(one, wo, share, term, offset, wide)
-            chosen = one if chosen is None else _choose(mine, one, chosen)
-            below, offset = below + share, offset + len(term.lobes)
-        assert chosen is not None
-        return chosen
+    def deltas(self, viewer: Viewer) -> list[Delta]:
+        return [d._replace(lobe=d.lobe + self._first_lobe(t)) for t in self.terms for d in t.deltas(viewer)]
 
-    def _mixed(self, d: Draw, wo: Vec, share: Tensor, term: Bsdf, offset: int, wide: bool) -> Draw:
-        """Weight and pdf of a term's sample under the whole mixture (a delta lobe competes with nothing)."""
-        lobe = d.lobe + offset
-        deltas = torch.tensor([kind.is_delta for kind in self.lobes], device=lobe.device)[lobe]
-        alone = numerics.reciprocal_or_zero(share.expand_as(d.pdf))
-        if all(kind.is_delta for kind in term.lobes):
-            return Draw(d.wi, tuple(w * alone for w in d.weight), d.pdf * share, lobe)
-        g = Geometry(d.wi, wo, local_normal(d.wi), None, wide)
-        pdf = self.density(g)
-        factor = torch.where(g.lit, g.cos_i * inverse_density(pdf), 0.0)
-        weight = each(lambda f, w: torch.where(deltas, w * alone, f * factor), self.formula(g), d.weight)
-        return Draw(d.wi, weight, torch.where(deltas, d.pdf * share, pdf), lobe)
-
-    def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
         """The sum of the terms' albedos."""
-        parts = [t.directional_albedo(wo, n, order=order) for t in self.terms]
+        parts = [t.directional_albedo(w, n, tangent, order=order) for t in self.terms]
         return sum(parts[1:], parts[0])
+
+    def _spread(self) -> list[Bsdf]:
+        return [t for t in self.terms if has_spread(t)]
+
+    def _shares(self, viewer: Viewer) -> list[Tensor]:
+        """The probability of each term that is no delta; computed once for a viewer."""
+        return viewer.once(self.terms, lambda: normalised([t.strength(viewer) for t in self._spread()]))
+
+    def _first_lobe(self, term: Bsdf) -> int:
+        return sum(len(t.lobes) for t in self.terms[: [t is term for t in self.terms].index(True)])
 
 
 @value
@@ -139,38 +137,43 @@ class Scaled(Bsdf):
     def kink_distance(self, g: Geometry) -> Tensor:
         return self.inner.kink_distance(g)
 
-    def select(self, lobes: Iterable[Lobe]) -> Bsdf | None:
-        kept = self.inner.select(lobes)
+    def select(self, wanted: Lobe) -> Bsdf | None:
+        kept = self.inner.select(wanted)
         return None if kept is None else Scaled(kept, self.factor)
 
-    def formula(self, g: Geometry) -> Channels:
-        return each(lambda f, k: f * k, self.inner.formula(g), g.colour(self.factor))
+    def domain(self, g: Geometry) -> Tensor:
+        return self.inner.domain(g)
 
-    def mirror_reflectance(self, g: Geometry) -> Channels:
-        return each(lambda r, k: r * k, self.inner.mirror_reflectance(g), g.colour(self.factor))
+    def formula(self, g: Geometry) -> Channels:
+        return each(torch.mul, self.inner.formula(g), g.colour(self.factor))
+
+    def strength(self, viewer: Viewer) -> Tensor:
+        return self.inner.strength(viewer) * viewer.layout.average(self.factor)
 
     def density(self, g: Geometry) -> Tensor:
         return self.inner.density(g)
 
-    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
-        d = self.inner.draw(wo, u, wide)
-        g = Geometry(d.wi, wo, wo, None, wide)
-        return d._replace(weight=each(lambda w, k: w * k, d.weight, g.colour(self.factor)))
+    def draw(self, viewer: Viewer, u: Vec) -> Draw:
+        return self.inner.draw(viewer, u)
 
-    def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def deltas(self, viewer: Viewer) -> list[Delta]:
+        return [d._replace(weight=each(torch.mul, d.weight, viewer.colour(self.factor))) for d in self.inner.deltas(viewer)]
+
+    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
         """``factor`` times the inner albedo."""
-        inner = self.inner.directional_albedo(wo, n, order=order)
-        return (inner * (self.factor.to(inner) if self.factor.dim() == 1 else self.factor)).to(wo.dtype)
+        inner = self.inner.directional_albedo(w, n, tangent, order=order)
+        return (inner * (self.factor.to(inner) if self.factor.dim() == 1 else self.factor)).to(w.dtype)
 
 
-def _total(parts: list[Channels]) -> Channels:
-    total = parts[0]
-    for p in parts[1:]:
-        total = each(lambda a, b: a + b, total, p)
-    return total
+def _inside(term: Bsdf, g: Geometry, terms: tuple[Bsdf, ...]) -> Channels:
+    """A term's formula, held to its own domain where the terms' domains differ."""
+    if all(type(t).domain is Bsdf.domain for t in terms):
+        return term.formula(g)
+    inside = term.domain(g).to(g.cos_i.dtype)
+    return tuple(f * inside for f in term.formula(g))
 
 
-def _choose(mine: Tensor, a: Draw, b: Draw) -> Draw:
-    wi = Vec(*(torch.where(mine, x, y) for x, y in zip(a.wi, b.wi, strict=True)))
-    weight = each(lambda x, y: torch.where(mine, x, y), a.weight, b.weight)
-    return Draw(wi, weight, torch.where(mine, a.pdf, b.pdf), torch.where(mine, a.lobe, b.lobe))
+def _choose(mask: Tensor, a: Draw, b: Draw) -> Draw:
+    wi = Vec(*(torch.where(mask, x, y) for x, y in zip(a.wi, b.wi, strict=True)))
+    lobe, eta = (torch.where(mask, x, y) for x, y in ((a.lobe, b.lobe), (a.eta, b.eta)))
+    return Draw(wi, lobe, eta)

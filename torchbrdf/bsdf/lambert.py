@@ -19,15 +19,15 @@ everywhere above the horizon. Source: Lambert 1760, *Photometria*.
 
 import math
 
-import torch
 from torch import Tensor
 
-from .. import numerics
-from ..geometry import Geometry
+from .. import numerics, sampling
+from ..geometry import Channels, Geometry, Viewer
 from ..interval import UNIT
 from ..value import COLOUR, param, value
 from ..vector import Vec
-from .base import Bsdf, Channels, Draw, Lobe, draw_from, join
+from .base import Bsdf
+from .lobe import Draw, Lobe
 
 
 @value
@@ -36,7 +36,7 @@ class Lambert(Bsdf):
 
     albedo: Tensor = param(UNIT, COLOUR, "fraction of the incident power that is reflected")
 
-    lobes = (Lobe.DIFFUSE,)
+    lobes = (Lobe.DIFFUSE_REFLECTION,)
 
     def formula(self, g: Geometry) -> Channels:
         return tuple(a * (1.0 / math.pi) for a in g.colour(self.albedo))
@@ -44,18 +44,14 @@ class Lambert(Bsdf):
     def density(self, g: Geometry) -> Tensor:
         return numerics.positive(g.cos_i) * (1.0 / math.pi)
 
-    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
-        """Cosine-weighted: a uniform point of the disk, lifted to the hemisphere (Malley 1988)."""
-        r, phi = torch.sqrt(u.x), 2.0 * math.pi * u.y
-        x, y = torch.broadcast_tensors(r * torch.cos(phi), wo.z)[0], torch.broadcast_tensors(r * torch.sin(phi), wo.z)[0]
-        z = torch.sqrt(torch.broadcast_tensors(1.0 - u.x, wo.z)[0])
-        return draw_from(self, Vec(x, y, z), wo, wide)
+    def draw(self, viewer: Viewer, u: Vec) -> Draw:
+        return Draw(sampling.cosine_hemisphere(u.x, u.y))
 
-    def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
         """``albedo`` above the horizon, exactly."""
-        g = self.view_geometry(wo, n)
-        up = (g.cos_o > 0).to(g.cos_o.dtype)
-        return join([a * up for a in g.colour(self.albedo)], g.wide).to(wo.dtype)
+        v = self.viewer(w, n, tangent)
+        above = (v.cos_o > 0).to(v.cos_o.dtype)
+        return v.layout.join([a * above for a in v.colour(self.albedo)]).to(w.dtype)
 
     @property
     def energy_bound(self) -> Tensor:

@@ -22,12 +22,13 @@ tensor([0.0400])
 import torch
 from torch import Tensor
 
-from ..geometry import Geometry, each
+from ..geometry import Channels, Geometry, Viewer, each
 from ..interval import UNIT
 from ..optics.fresnel import Fresnel
 from ..value import COLOUR, param, value
 from ..vector import Vec
-from .base import Bsdf, Channels, Draw, Lobe, join, nearest
+from .base import Bsdf, nearest
+from .lobe import Delta, Draw, Lobe
 
 
 @value
@@ -37,38 +38,31 @@ class Mirror(Bsdf):
     tint: Tensor = param(UNIT, COLOUR, "colour that multiplies the Fresnel term", default=1.0)
     fresnel: Fresnel | None = None
 
-    lobes = (Lobe.MIRROR,)
+    lobes = (Lobe.DELTA_REFLECTION,)
 
     def formula(self, g: Geometry) -> Channels:
         zero = torch.zeros_like(g.cos_i + g.cos_o)
-        return tuple(zero * t for t in self.reflectance(g, g.cos_o))
+        return tuple(zero * t for t in self.reflectance(g.viewer))
 
     def density(self, g: Geometry) -> Tensor:
         return torch.zeros_like(g.cos_i + g.cos_o)
 
-    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
-        wi = Vec(*torch.broadcast_tensors(-wo.x, -wo.y, wo.z, u.x)[:3])
-        one = torch.ones_like(wi.z)
-        weight = self.reflectance(Geometry(wi, wo, wo, None, wide), wi.z)
-        return Draw(wi, weight, one, torch.zeros_like(one, dtype=torch.int64))
+    def draw(self, viewer: Viewer, u: Vec) -> Draw:
+        return Draw(viewer.mirror)
 
-    def mirror_reflectance(self, g: Geometry) -> Channels:
-        return self.reflectance(g, g.cos_o)
+    def deltas(self, viewer: Viewer) -> list[Delta]:
+        return [Delta(viewer.mirror, viewer.cos_o, self.reflectance(viewer))]
 
-    def reflectance(self, g: Geometry, cos: Tensor) -> Channels:
+    def reflectance(self, viewer: Viewer) -> Channels:
         """``tint F(cos)`` per channel."""
-        fresnel = self.fresnel.terms(g, cos) if self.fresnel else (torch.ones_like(cos),)
-        return each(lambda t, f: t * f, g.colour(self.tint), fresnel)
-
-    def directional_albedo(self, wo: Tensor, n: Tensor | None = None, *, order: int = 48) -> Tensor:
-        """``tint F(cos)`` above the horizon, exactly."""
-        g = self.view_geometry(wo, n)
-        return join([torch.where(g.cos_o > 0, r, 0.0) for r in self.reflectance(g, g.cos_o)], g.wide).to(wo.dtype)
+        cos = viewer.cos_o
+        fresnel = self.fresnel.terms(viewer.layout, cos) if self.fresnel else (torch.ones_like(cos),)
+        return each(lambda t, f: t * f, viewer.colour(self.tint), fresnel)
 
     def kink_distance(self, g: Geometry) -> Tensor:
         """The horizon, and what is not smooth about F."""
         horizon = super().kink_distance(g)
-        return horizon if self.fresnel is None else nearest(horizon, self.fresnel.kink_distance(g, g.cos_o))
+        return horizon if self.fresnel is None else nearest(horizon, self.fresnel.kink_distance(g.viewer.layout, g.cos_o))
 
     @property
     def energy_bound(self) -> Tensor:

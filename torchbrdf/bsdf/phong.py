@@ -34,13 +34,14 @@ import math
 import torch
 from torch import Tensor
 
-from .. import numerics, vector
-from ..geometry import Geometry, each
+from .. import numerics, sampling, vector
+from ..geometry import Channels, Geometry, Viewer, each
 from ..interval import NONNEGATIVE, Interval
 from ..optics.fresnel import Fresnel
 from ..value import COLOUR, SCALAR, param, value
 from ..vector import Vec
-from .base import Bsdf, Channels, Draw, Lobe, draw_from, nearest
+from .base import Bsdf, nearest
+from .lobe import Draw, Lobe
 
 EXPONENT = Interval(0.0, typical=(1.0, 200.0), hard=(0.5, 1e7))
 NORMALIZATIONS = {
@@ -59,7 +60,7 @@ class Phong(Bsdf):
     fresnel: Fresnel | None = None
     normalization: str = "modified"
 
-    lobes = (Lobe.GLOSSY,)
+    lobes = (Lobe.GLOSSY_REFLECTION,)
     variants = tuple({"normalization": name} for name in ("modified", "bound", "none"))
 
     def __post_init__(self) -> None:
@@ -76,12 +77,15 @@ class Phong(Bsdf):
         s = g.scalar(self.exponent)
         return numerics.log1p_power(g.mirror_complement, s) * ((s + 1.0) / (2.0 * math.pi))
 
-    def draw(self, wo: Vec, u: Vec, wide: bool) -> Draw:
+    def draw(self, viewer: Viewer, u: Vec) -> Draw:
         """Proportional to the lobe, about the mirror direction (Lafortune & Willems 1994, eq. 11)."""
-        s = Geometry(wo, wo, wo, None, wide).scalar(self.exponent)
-        mirror = Vec(-wo.x, -wo.y, wo.z)
-        axes = vector.frame_components(mirror)
-        return draw_from(self, vector.combine(axes, cosine_power_direction(u, s + 1.0)), wo, wide)
+        about = sampling.cosine_power(u.x, u.y, viewer.scalar(self.exponent) + 1.0)
+        return Draw(vector.combine(viewer.mirror_axes, about))
+
+    def strength(self, viewer: Viewer) -> Tensor:
+        """The albedo at normal incidence, with F at the mirror direction."""
+        s = viewer.scalar(self.exponent)
+        return peak_reflectance(viewer, self.specular, self.fresnel) * NORMALIZATIONS[self.normalization](s) * (2.0 * math.pi) / (s + 2.0)
 
     def kink_distance(self, g: Geometry) -> Tensor:
         """The edge of the lobe, too, and what is not smooth about F."""
@@ -96,17 +100,17 @@ def tinted(g: Geometry, specular: Tensor, fresnel: Fresnel | None, lobe: Tensor)
     """``specular F(wi.h) lobe``, channel by channel."""
     if fresnel is None:
         return tuple(k * lobe for k in g.colour(specular))
-    return each(lambda k, f: k * f * lobe, g.colour(specular), fresnel.terms(g, g.wi_h))
+    return each(lambda k, f: k * f * lobe, g.colour(specular), fresnel.terms(g.viewer.layout, g.wi_h))
+
+
+def peak_reflectance(viewer: Viewer, specular: Tensor, fresnel: Fresnel | None) -> Tensor:
+    """The mean of ``specular F`` where the lobe peaks: in the mirror direction wi.h is n.wo."""
+    if fresnel is None:
+        return viewer.layout.average(specular)
+    terms = fresnel.terms(viewer.layout, numerics.unit_interval(viewer.cos_o))
+    return viewer.layout.mean(each(torch.mul, viewer.colour(specular), terms))
 
 
 def fresnel_kink(fresnel: Fresnel | None, g: Geometry) -> Tensor:
     """How far F(wi.h) is from where it is not smooth, as it is where there is no half vector."""
-    return g.wi_h if fresnel is None else torch.minimum(g.wi_h, fresnel.kink_distance(g, g.wi_h))
-
-
-def cosine_power_direction(u: Vec, power: Tensor) -> Vec:
-    """Direction about +z whose cosine has the density ``power cos^(power-1)``; the sine by expm1, accurate at any power."""
-    log_cos = torch.log(1.0 - u.x) / power
-    cos, sin = torch.exp(log_cos), numerics.safe_sqrt(-torch.expm1(2.0 * log_cos))
-    phi = 2.0 * math.pi * u.y
-    return Vec(sin * torch.cos(phi), sin * torch.sin(phi), cos)
+    return g.wi_h if fresnel is None else torch.minimum(g.wi_h, fresnel.kink_distance(g.viewer.layout, g.wi_h))

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from .. import numerics
-from ..geometry import Geometry, each
+from ..geometry import Channels, Layout, each
 from ..interval import UNIT, Interval
 from ..value import COLOUR, Value, param, value
 from ..vector import stack
@@ -178,10 +178,10 @@ class Fresnel(Value):
     """Interface of the Fresnel terms: what fraction of the power a smooth interface reflects at each angle."""
 
     @abstractmethod
-    def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
-        """Channels at the cosine ``[...]`` of [0, 1] (up to rounding), in the layout of ``g``."""
+    def terms(self, layout: Layout, cos: Tensor) -> Channels:
+        """Channels at the cosine ``[...]`` of [0, 1] (up to rounding)."""
 
-    def kink_distance(self, g: Geometry, cos: Tensor) -> Tensor:
+    def kink_distance(self, layout: Layout, cos: Tensor) -> Tensor:
         """How far the cosine ``[...]`` is from where the term is not smooth; nowhere, unless a term says otherwise."""
         return torch.ones_like(cos)
 
@@ -193,7 +193,7 @@ class Fresnel(Value):
     def reflectance(self, cos_i: Tensor) -> Tensor:
         """Reflectance ``[..., C]`` at ``cos_i [..., 1]``."""
         z = numerics.unit_interval(numerics.widen(cos_i.squeeze(-1) if cos_i.shape[-1:] == (1,) else _need_trailing_one(cos_i)))
-        return stack(self.terms(Geometry.of_cosine(z), z)).to(cos_i.dtype)
+        return stack(self.terms(Layout.beside(z), z)).to(cos_i.dtype)
 
 
 def _need_trailing_one(cos_i: Tensor) -> Tensor:
@@ -206,12 +206,12 @@ class Dielectric(Fresnel):
 
     eta: Tensor = param(ETA, COLOUR, "index of refraction, inside over outside")
 
-    def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
-        return each(lambda eta: dielectric(cos, eta), g.colour(self.eta))
+    def terms(self, layout: Layout, cos: Tensor) -> Channels:
+        return each(lambda eta: dielectric(cos, eta), layout.colour(self.eta))
 
-    def kink_distance(self, g: Geometry, cos: Tensor) -> Tensor:
+    def kink_distance(self, layout: Layout, cos: Tensor) -> Tensor:
         """The distance of g^2 from 0, its value at the critical angle."""
-        away = [(cos * cos - (1.0 - eta) * (1.0 + eta)).abs() for eta in g.colour(self.eta)]
+        away = [(cos * cos - (1.0 - eta) * (1.0 + eta)).abs() for eta in layout.colour(self.eta)]
         return torch.stack(torch.broadcast_tensors(*away)).amin(0)
 
 
@@ -222,8 +222,8 @@ class Conductor(Fresnel):
     eta: Tensor = param(Interval(0.0, open_low=True, typical=(0.1, 3.0), hard=(0.5, 1.0, 10.0)), COLOUR, "real part of the index")
     k: Tensor = param(Interval(0.0, typical=(0.5, 7.0), hard=(1e3,), flat=(0.0,)), COLOUR, "imaginary part of the index")
 
-    def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
-        return each(lambda eta, k: conductor(cos, eta, k), g.colour(self.eta), g.colour(self.k))
+    def terms(self, layout: Layout, cos: Tensor) -> Channels:
+        return each(lambda eta, k: conductor(cos, eta, k), layout.colour(self.eta), layout.colour(self.k))
 
     @staticmethod
     def named(metal: str, wavelengths: tuple[float, ...] = (0.65, 0.55, 0.45)) -> "Conductor":
@@ -240,7 +240,7 @@ class Schlick(Fresnel):
 
     f0: Tensor = param(UNIT, COLOUR, "reflectance at normal incidence")
 
-    def terms(self, g: Geometry, cos: Tensor) -> tuple[Tensor, ...]:
+    def terms(self, layout: Layout, cos: Tensor) -> Channels:
         grazing = _fifth_power(numerics.positive(1.0 - cos))  # once for all channels; cos may exceed 1 by rounding
         rest = 1.0 - grazing
-        return each(lambda f0: f0 * rest + grazing, g.colour(self.f0))
+        return each(lambda f0: f0 * rest + grazing, layout.colour(self.f0))
