@@ -22,7 +22,7 @@ _HOME = {
     "optics.fresnel": ("Fresnel",),
     "bsdf.base": ("Bsdf",),
     "bsdf.lobe": ("BSDFSample", "Lobe"),
-    "light.base": ("Light",),
+    "light.base": ("Light", "LightKind", "LightSample"),
     "light.point": ("PointLight",),
     "light.directional": ("DirectionalLight",),
     "light.environment": ("EnvironmentMap",),
@@ -30,6 +30,7 @@ _HOME = {
     "scene.camera": ("Camera",),
     "scene.gbuffer": ("GBuffer",),
     "scene.visibility": ("visibility",),
+    "effects.base": ("Decision", "Effect", "Prepared", "Scene", "Surface"),
     "planning": ("Plan", "plan", "shade"),
     "compiling": ("compile",),
 }

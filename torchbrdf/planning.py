@@ -1,6 +1,6 @@
 """What this scene calls for: which effects exist, and why. The plan is static; it holds no tensor, no ray caster, no file.
 
-``shade`` is plan-and-run in one call. Deciding happens at construction, from the kinds of lobes, lights and geometry alone and
+``shade`` is plan, prepare and run in one call. Deciding happens at construction, from the kinds of lobes, lights and geometry alone and
 never from data inside a graph, so a planned shader compiles to one full graph. A lobe that no effect serves (a mirror under
 point lights) is left out, and its parameters get no gradient.
 """
@@ -8,35 +8,26 @@ point lights) is left out, and its parameters get no gradient.
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from . import arguments
-from .bsdf.base import Bsdf, Channels
-from .effects import base, check, direct, mirror, shadow
-from .geometry import each
-from .light.base import Light, LocalLight
-from .light.environment import EnvironmentMap
+from .bsdf.base import Bsdf
+from .bsdf.lobe import Lobe
+from .effects import check, rows
+from .effects.base import AUTO, Contribution, Decision, Effect, Prepared, Scene, Surface
+from .effects.direct import Direct
+from .effects.mirror import Mirror
+from .effects.shadow import NOTHING_CASTS, Shadow
+from .light.base import Light, LightKind
 from .scene.gbuffer import GBuffer
 from .scene.mesh import Mesh
 from .value import validate
 
 Lights = Light | Sequence[Light]
-NOTHING_CASTS = "no mesh to cast them; pass mesh= or visibility="
-EFFECTS = {"direct": (direct.direct, direct.LOBES), "mirror": (mirror.mirror, mirror.LOBES)}
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One line of a plan."""
-
-    effect: str
-    on: bool
-    why: str
-
-    def __str__(self) -> str:
-        return f"  {self.effect:<12} {'on ' if self.on else 'off'}  {self.why}"
+EFFECTS: tuple[Effect, ...] = (Direct(), Shadow(), Mirror())
 
 
 @dataclass(frozen=True)
@@ -44,6 +35,9 @@ class Plan:
     """The effects that a scene calls for. Call it with the scene; print it to read why."""
 
     decisions: tuple[Decision, ...]
+    effects: tuple[Effect, ...]  # those that are on
+    lobes: tuple[Lobe, ...]  # the kinds that the plan was made for
+    lights: tuple[LightKind, ...]
 
     def calls_for(self, effect: str) -> bool:
         """Whether an effect is on."""
@@ -52,37 +46,67 @@ class Plan:
     def __str__(self) -> str:
         return "\n".join(["plan", *map(str, self.decisions)])
 
+    def prepare(
+        self,
+        g: GBuffer,
+        lights: Lights,
+        mesh: Mesh | None = None,
+        visibility: Tensor | None = None,
+        generator: torch.Generator | None = None,
+    ) -> Prepared:
+        """What the effects need and no graph can compute (shadow rays, random numbers, tables), without gradient: one value for the call.
+
+        ``mesh`` casts shadows, or ``visibility [L, ..., H, W, 1]`` says what they are; ``generator`` makes random numbers repeatable.
+        """
+        sources = check.as_list(lights)
+        check.check_mesh(mesh)
+        self._check_lost_shadows(mesh, visibility)
+        scene = Scene(g, None, sources, mesh, visibility)  # type: ignore[arg-type]
+        with torch.no_grad():
+            found = {e.name: e.prepare(scene, generator) for e in self.effects}
+        kept = {name: v for name, v in found.items() if v is not None}
+        return Prepared(tuple(kept), tuple(kept.values()))
+
     def __call__(
-        self, g: GBuffer, bsdf: Bsdf, lights: Lights, *, mesh: Mesh | None = None, visibility: Tensor | None = None, per_light: bool = False
+        self,
+        g: GBuffer,
+        bsdf: Bsdf,
+        lights: Lights,
+        prepared: Prepared | Tensor | None = None,
+        *,
+        mesh: Mesh | None = None,
+        visibility: Tensor | None = None,
+        per_light: bool = False,
     ) -> Tensor:
         """Radiance ``[..., H, W, C]`` towards the viewer, planar; ``per_light=True``: ``[L, ..., H, W, C]``, not summed.
 
-        Shadows come from ``visibility [L, ..., H, W, 1]`` where it is given, else from ``mesh``.
+        ``prepared`` is what :meth:`prepare` gave, or a visibility ``[L, ..., H, W, 1]``; without it, it is made here from ``mesh`` or
+        ``visibility``.
         """
         sources = check.as_list(lights)
         channels = check.check_scene(g, bsdf, sources)
-        shadows = self._shadows(g, sources, mesh, visibility)
-        surface = base.Surface.of(g, bsdf.is_wide)
-        rows: list[Channels | None] = [None] * sum(map(len, sources))
-        for name, (effect, lobes) in EFFECTS.items():
-            part = bsdf.select(lobes) if self.calls_for(name) else None
+        self._check_kinds(bsdf, sources)
+        if not isinstance(prepared, Prepared):
+            prepared = self.prepare(g, sources, mesh, visibility if prepared is None else prepared)
+        surface = Surface.of(g, bsdf.is_wide)
+        parts: list[Contribution] = []
+        for effect in self.effects:
+            part = bsdf.select(effect.lobes)
             if part is not None:
-                for row, radiance in effect(part, surface, sources, shadows):
-                    before = rows[row]
-                    rows[row] = radiance if before is None else each(torch.add, before, radiance)
-        return base.assemble(rows, surface, channels, per_light).to(g.position.dtype)
+                parts += effect.run(part, surface, rows.rows_of(sources, effect.lights), prepared)
+        count = sum(map(len, sources))
+        image = rows.apart(parts, surface, channels, count) if per_light else rows.summed(parts, surface, channels)
+        return image.to(g.position.dtype)
 
-    def _shadows(self, g: GBuffer, lights: Sequence[Light], mesh: Mesh | None, visibility: Tensor | None) -> Tensor | None:
-        if not self.calls_for("shadow"):
-            self._check_lost_shadows(mesh, visibility)
-            return None
-        if visibility is not None:
-            return check.check_visibility(visibility, lights, g)
-        if mesh is None:
-            raise ValueError(
-                "mesh: the plan casts shadows; pass mesh=... or visibility=tb.visibility(g, lights, mesh), or plan with shadow='off'"
-            )
-        return shadow.cast(g, lights, mesh)
+    def _check_kinds(self, bsdf: Bsdf, lights: Sequence[Light]) -> None:
+        """A plan answers for the kinds it was made for; others would be left out without a word."""
+        for lobe in bsdf.lobes:
+            if all(lobe.value != known.value for known in self.lobes):
+                raise ValueError(f"bsdf: this plan was made without {lobe.label}; make one for this material with tb.plan(g, bsdf, lights)")
+        for k, light in enumerate(lights):
+            if light.kind not in self.lights:
+                what = f"{type(light).__name__} ({light.kind.value})"
+                raise ValueError(f"lights[{k}]: this plan was made without {what}; make one for these lights with tb.plan(g, bsdf, lights)")
 
     def _check_lost_shadows(self, mesh: Mesh | None, visibility: Tensor | None) -> None:
         """A visibility that would be dropped without a word is an error; a mesh is worth a warning."""
@@ -103,17 +127,21 @@ def plan(
     tolerance: float | None = None,
     *,
     visibility: Tensor | None = None,
-    shadow: str = "auto",
+    effects: Sequence[Effect] = (),
+    **wishes: str,
 ) -> Plan:
     """Decide which effects this scene calls for, after checking every parameter's range.
 
-    ``shadow="off"`` leaves cast shadows out even where a mesh is given. ``tolerance``: every law of this version is exact, so
-    None is the only legal value.
+    ``effects`` are further ones of your own, beside the built-in ones; one of the same name takes its place. A wish is given by an
+    effect's name: ``shadow="off"`` leaves cast shadows out even where a mesh is given. ``tolerance``: every law of this version is
+    exact, so None is the only legal value.
     """
     if tolerance is not None:
         raise ValueError(f"tolerance: found {tolerance!r}; every law of this version is computed exactly, so leave it None")
-    if shadow not in ("auto", "off"):
-        raise ValueError(f"shadow: found {shadow!r}, legal are 'auto' and 'off'")
+    own = {e.name: e for e in (*EFFECTS, *effects)}
+    unknown = sorted(set(wishes) - set(own))
+    if unknown:
+        raise TypeError(f"{unknown[0]}: found {wishes[unknown[0]]!r}, but no effect has that name; effects are {sorted(own)}")
     sources = check.as_list(lights)
     check.check_scene(g, bsdf, sources)
     check.check_mesh(mesh)
@@ -122,11 +150,12 @@ def plan(
             validate(checked)
         if isinstance(visibility, Tensor):
             check.check_visible_share(visibility)
-    local = sum(len(s) for s in sources if isinstance(s, LocalLight))
-    environments = sum(isinstance(s, EnvironmentMap) for s in sources)
-    _refuse_integrals(bsdf, environments)
-    casts = mesh is not None or visibility is not None
-    return Plan((_direct(bsdf, local), _shadow(bsdf, local, casts, shadow), _mirror(bsdf, environments)))
+    scene = Scene(g, bsdf, sources, mesh, visibility)
+    decisions = tuple(e.decide(scene, wishes.get(e.name, AUTO)) for e in own.values())
+    on = tuple(e for e, d in zip(own.values(), decisions, strict=True) if d.on)
+    lobes, kinds = _each_once(bsdf.lobes), _each_once([light.kind for light in sources])
+    _refuse_unserved(lobes, kinds, on)
+    return Plan(decisions, on, lobes, kinds)
 
 
 def shade(
@@ -136,50 +165,37 @@ def shade(
     *,
     mesh: Mesh | None = None,
     visibility: Tensor | None = None,
-    shadow: str = "auto",
     per_light: bool = False,
+    generator: torch.Generator | None = None,
+    effects: Sequence[Effect] = (),
+    **wishes: str,
 ) -> Tensor:
-    """Radiance ``[..., H, W, C]`` of a G-buffer: :func:`plan` and run in one call. ``mesh=`` lets that mesh cast shadows."""
+    """Radiance ``[..., H, W, C]`` of a G-buffer: :func:`plan`, prepare and run in one call. ``mesh=`` lets that mesh cast shadows."""
     sources = check.as_list(lights)
-    found = plan(g, bsdf, sources, mesh, visibility=visibility, shadow=shadow)
-    return found(g, bsdf, sources, mesh=mesh, visibility=visibility, per_light=per_light)
+    found = plan(g, bsdf, sources, mesh, visibility=visibility, effects=effects, **wishes)
+    prepared = found.prepare(g, sources, mesh, visibility, generator)
+    return found(g, bsdf, sources, prepared, per_light=per_light)
 
 
-def _names(bsdf: Bsdf, delta: bool) -> str:
-    return ", ".join(sorted({lobe.value for lobe in bsdf.lobes if lobe.is_delta == delta}))
+def _each_once(found: Sequence[Any]) -> tuple[Any, ...]:
+    """Enum members in the order of their first appearance."""
+    once: list[Any] = []
+    for one in found:
+        if all(one is not other for other in once):
+            once.append(one)
+    return tuple(once)
 
 
-def _direct(bsdf: Bsdf, local: int) -> Decision:
-    lobes = _names(bsdf, delta=False)
-    if not lobes:
-        return Decision("direct", False, "the material has delta lobes alone, and those never meet a point or a direction")
-    if not local:
-        return Decision("direct", False, "no point or directional light")
-    return Decision("direct", True, f"{lobes} under {local} point or directional light{'s' * (local > 1)}: a sum, exact")
-
-
-def _shadow(bsdf: Bsdf, local: int, possible: bool, wish: str) -> Decision:
-    if not (local and _names(bsdf, delta=False)):
-        return Decision("shadow", False, "no direct light to be blocked")
-    if wish == "off":
-        return Decision("shadow", False, "switched off by shadow='off'")
-    if not possible:
-        return Decision("shadow", False, NOTHING_CASTS)
-    return Decision("shadow", True, "a mesh (or a visibility) is given: one ray per pixel and light, outside the graph, no gradient")
-
-
-def _mirror(bsdf: Bsdf, environments: int) -> Decision:
-    if not _names(bsdf, delta=True):
-        return Decision("mirror", False, "no mirror lobe")
-    if not environments:
-        return Decision("mirror", False, "no environment to be seen in the mirror; points and directions are met with probability 0")
-    return Decision("mirror", True, "mirror reflection of the environment map: one look-up, exact; the mesh itself is not reflected")
-
-
-def _refuse_integrals(bsdf: Bsdf, environments: int) -> None:
-    lobes = _names(bsdf, delta=False)
-    if environments and lobes:
-        raise ValueError(
-            f"lights: in this version an EnvironmentMap lights mirror lobes alone, and the material has {lobes}; shade the parts "
-            "apart: tb.shade(g, mirror_part, environment) + tb.shade(g, other_part, point_or_directional_lights)"
-        )
+def _refuse_unserved(lobes: Sequence[Lobe], kinds: Sequence[LightKind], effects: Sequence[Effect]) -> None:
+    """A lobe under a light that no effect brings together would be dark without a word. (Deltas meet deltas with probability 0.)"""
+    for kind in kinds:
+        missed = [l.label for l in lobes if not (l.is_delta and kind is LightKind.DELTA) and not any(e.serves(l, kind) for e in effects)]
+        if missed and kind is LightKind.INFINITE:
+            raise ValueError(
+                f"lights: in this version an EnvironmentMap lights mirror lobes alone, and the material has {', '.join(missed)}; shade the "
+                "parts apart: tb.shade(g, mirror_part, environment) + tb.shade(g, other_part, point_or_directional_lights)"
+            )
+        if missed:
+            raise ValueError(
+                f"lights: no effect brings light of kind {kind.value!r} to the material's {', '.join(missed)}; pass one with effects=[...]"
+            )

@@ -1,87 +1,142 @@
-"""What effects share: the shading points, taken apart once, and the shape of an effect."""
+"""What an effect is: a value with three verbs, that owns its cells of the table lobe × light kind.
 
-import functools
+=============  ===============================================================  ==================================================
+verb           when                                                             what it may do
+=============  ===============================================================  ==================================================
+``decide``     once, from kinds alone: lobes, lights, what is given             say on or off, why, and by which method
+``prepare``    outside every graph, without gradient, when the scene moved      cast rays, draw random numbers, tabulate, gather
+``run``        in the graph, every time                                         compute radiance, differentiably
+=============  ===============================================================  ==================================================
+"""
+
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
 from .. import numerics, vector
-from ..bsdf.base import Bsdf, Channels
-from ..geometry import Geometry, each
-from ..light.base import Light
+from ..bsdf.base import Bsdf
+from ..bsdf.lobe import Lobe
+from ..geometry import Channels, Geometry, Layout, Viewer
+from ..light.base import Light, LightKind
 from ..scene.gbuffer import GBuffer
+from ..scene.mesh import Mesh
+from ..value import Value, value
 from ..vector import Vec
+
+AUTO, OFF = "auto", "off"
+
+
+class Scene(NamedTuple):
+    """What a plan is made for. Effects look at kinds and at what is there, never at the values of tensors."""
+
+    g: GBuffer
+    bsdf: Bsdf
+    lights: Sequence[Light]
+    mesh: Mesh | None = None
+    visibility: Tensor | None = None
+
+    def count(self, *kinds: LightKind) -> int:
+        """How many sources of these kinds there are."""
+        return sum(len(light) for light in self.lights if light.kind in kinds)
+
+    def lobe_names(self, wanted: Lobe) -> str:
+        """The lobes of the wanted kinds in words; empty if there are none."""
+        return ", ".join(sorted({lobe.label for lobe in self.bsdf.lobes if lobe.serves(wanted)}))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One line of a plan."""
+
+    effect: str
+    on: bool
+    why: str
+    method: str = "exact"
+
+    def __str__(self) -> str:
+        return f"  {self.effect:<12} {'on ' if self.on else 'off'}  {self.why}"
+
+
+@value
+class Prepared(Value):
+    """What the effects of a plan prepared: one value for each that prepares something, by name. ``None`` stands for nothing."""
+
+    names: tuple[str, ...] = ()
+    values: tuple[Any, ...] = ()
+
+    def of(self, name: str) -> Any:
+        """What an effect prepared; None if nothing."""
+        return dict(zip(self.names, self.values, strict=True)).get(name)
 
 
 class Surface(NamedTuple):
-    """The shading points of a G-buffer in components."""
+    """The shading points of a G-buffer, taken apart once."""
 
     position: Vec
-    n: Vec
-    wo: Vec
-    tangent: Vec | None
-    cos_o: Tensor
-    seen: Tensor  # 1 where a usable surface faces the viewer, else 0; the one that always has the full shape
-    wide: bool
+    viewer: Viewer
+    mask: Tensor | None  # where there is a surface (bool number); None: everywhere
+    shape: torch.Size  # of the points
 
     @staticmethod
     def of(g: GBuffer, wide: bool) -> "Surface":
-        """Directions are normalised here, once; zero and non-finite ones become 0, and so does their radiance.
-
-        What must not contribute is multiplied by 0, not selected by ``where``: on eager CPUs a ``where`` on a mask that changes
-        from pixel to pixel costs as much as thirty products. That is exact because everything is finite from here on.
-        """
+        """Directions are normalised here, once; zero and non-finite ones become 0, which no domain contains."""
+        layout = Layout.beside(g.position, wide)
 
         def parts(v: Tensor) -> Vec:
-            return Vec(*((c.unsqueeze(-1) if wide else c) for c in vector.components(numerics.widen(v))))
+            return Vec(*map(layout.lift, vector.components(numerics.widen(v))))
 
         n, wo = (vector.normalize_components(parts(v)) for v in (g.normal, g.require_view()))
         tangent = None if g.tangent is None else parts(g.tangent)
-        cos_o = vector.dot(n, wo)
-        facing = cos_o.detach() > 0  # never so for a normal that is zero or not finite
-        mask = True if g.mask is None else g.mask if wide else g.mask.squeeze(-1)
-        seen = (facing & mask).to(cos_o.dtype).expand((*g.batch_shape, *(1,) * wide))
-        return Surface(Vec(*map(numerics.finite_or_zero, parts(g.position))), n, wo, tangent, cos_o, seen, wide)
+        mask = None if g.mask is None else layout.lift(g.mask.squeeze(-1))
+        position = Vec(*map(numerics.finite_or_zero, parts(g.position)))
+        return Surface(position, Viewer(wo, n, tangent, layout=layout), mask, g.batch_shape)
 
-    def towards(self, wi: Vec) -> Geometry:
-        """The geometry of light from ``wi``; what depends on the viewer alone is shared by all lights."""
-        return Geometry(wi, self.wo, self.n, self.tangent, self.wide, {"cos_o": self.cos_o})
+    def cosine(self, bsdf: Bsdf, g: Geometry) -> Tensor:
+        """``|cos_i|`` where ``bsdf`` sends light from ``g.wi`` to the viewer of a surface that is there; exactly 0 elsewhere.
 
-
-Contribution = tuple[int, Channels]
-
-
-class Effect(Protocol):
-    """One way in which light reaches the eye: ``(row of the light, radiance per channel)`` for each light it serves."""
-
-    def __call__(self, bsdf: Bsdf, surface: Surface, lights: Sequence[Light], visibility: Tensor | None) -> list[Contribution]: ...
+        What must not contribute is put below a horizon, where even an infinite slope ends; times 0 it would be NaN. (Not by ``where``:
+        on eager CPUs a ``where`` on a mask that changes from pixel to pixel costs as much as thirty products.)
+        """
+        inside = bsdf.domain(g)
+        if self.mask is not None:
+            inside = inside & self.mask
+        hidden = 2.0 - 2.0 * inside.to(g.cos_i.dtype)
+        return numerics.positive(g.cos_i.abs() - hidden)
 
 
-def rows_of(lights: Sequence[Light], kind: type[Any]) -> list[tuple[int, Any]]:
-    """(first row, light) of each light of a kind; a light takes ``len(light)`` rows, in the order of the list."""
-    row, found = 0, []
-    for light in lights:
-        if isinstance(light, kind):
-            found.append((row, light))
-        row += len(light)
-    return found
+class Contribution(NamedTuple):
+    """Radiance of some rows of lights: with a leading axis where there are several rows, without where there is one."""
+
+    rows: slice
+    radiance: Channels
 
 
-def assemble(rows: Sequence[Channels | None], surface: Surface, count: int, per_light: bool) -> Tensor:
-    """The sum of the rows ``[..., C]``, or all of them ``[L, ..., C]``, each in planar memory; rows that no effect served are dark."""
-    if per_light:
-        return torch.stack([_planes(r, surface, count) for r in rows]).movedim(1, -1)
-    lit = [r for r in rows if r is not None]
-    return _planes(functools.reduce(functools.partial(each, torch.add), lit) if lit else None, surface, count).movedim(0, -1)
+class Effect(ABC):
+    """One way in which light reaches the eye. Subclasses are frozen dataclasses of plain data: the choices of a method."""
 
+    name: ClassVar[str]
+    lobes: ClassVar[Lobe]  # the cells that the effect serves: these lobes ...
+    lights: ClassVar[tuple[LightKind, ...]]  # ... under these kinds of light
 
-def _planes(colour: Channels | None, surface: Surface, count: int) -> Tensor:
-    """``[C, ...]`` in contiguous memory, of a colour that may have given one channel for all."""
-    if colour is None:
-        shape = surface.seen.squeeze(-1).shape if surface.wide else surface.seen.shape
-        return surface.seen.new_zeros(count, *shape)
-    if surface.wide:
-        return colour[0].expand(*colour[0].shape[:-1], count).movedim(-1, 0).contiguous()
-    return torch.stack(colour if len(colour) == count else colour * count)
+    @abstractmethod
+    def decide(self, scene: Scene, wish: str) -> Decision:
+        """Whether this scene calls for the effect; ``wish`` is what the caller asked for by the effect's name, or ``"auto"``."""
+
+    def prepare(self, scene: Scene, generator: torch.Generator | None) -> Value | None:
+        """What :meth:`run` needs and no graph can compute; nothing, unless an effect says otherwise. Without gradient.
+
+        ``scene.bsdf`` is not to be asked for: what is prepared serves every step of an optimisation.
+        """
+        return None
+
+    @abstractmethod
+    def run(self, bsdf: Bsdf, surface: Surface, lights: Sequence[tuple[int, Light]], prepared: Prepared) -> list[Contribution]:
+        """Radiance of the ``lights`` of the effect's kinds, each given with its first row. ``bsdf`` has lobes of the effect's kinds."""
+
+    def serves(self, lobe: Lobe, kind: LightKind) -> bool:
+        """Whether a cell of the table lobe × light kind belongs to this effect."""
+        return lobe.serves(self.lobes) and kind in self.lights

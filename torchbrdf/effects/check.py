@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from ..bsdf.base import Bsdf, check_same_kind
-from ..light.base import Light, LocalLight
+from ..light.base import Light, LightKind
 from ..scene.gbuffer import GBuffer
 from ..scene.mesh import Mesh
 
@@ -78,7 +78,7 @@ def check_visibility(shadows: Tensor, lights: Sequence[Light], g: GBuffer) -> Te
     """A visibility that was passed in must have one row per local light and broadcast over the pixels."""
     if not isinstance(shadows, Tensor):
         raise TypeError(f"visibility: {_expected(shadows, 'a tensor', 'tb.visibility(g, lights, mesh)')}")
-    count = sum(len(light) for light in lights if isinstance(light, LocalLight))
+    count = sum(len(light) for light in lights if light.kind is LightKind.DELTA)
     pixels = g.batch_shape
     if shadows.dim() < 2 or shadows.shape[0] != count or shadows.shape[-1] != 1 or not expands_to(shadows.shape[1:-1], pixels):
         raise ValueError(

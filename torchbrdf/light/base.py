@@ -1,26 +1,49 @@
-"""What every light answers. Local lights (points, directions) are lists ``[L, 3]`` that a shading point looks up one by one."""
+"""What every light answers: which kind it is, how to sample it, how bright it is along a direction.
 
+=============  ==============================================  ===================================================
+kind           reaches a point                                 its ``radiance`` in a :class:`LightSample`
+=============  ==============================================  ===================================================
+``DELTA``      from one direction: points, directions          irradiance on a plane facing the light; ``pdf`` is 1
+``AREA``       from the directions of a surface nearby         radiance, W/(m² sr)
+``INFINITE``   from every direction: environments              radiance, W/(m² sr)
+=============  ==============================================  ===================================================
+"""
+
+import enum
 from abc import abstractmethod
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
 from .. import arguments, numerics, vector
+from ..geometry import Channels, Layout
 from ..value import Value
 from ..vector import Vec
 
 
-class Arrival(NamedTuple):
-    """Light of one source at the shading points, in components."""
+class LightKind(enum.Enum):
+    """Over how much of the directions a light is spread; a plan chooses effects by it."""
 
-    wi: Vec  # unit, to the light; without batch axes where it is the same at every point
-    falloff: Tensor | None  # [...] factor of the colour; None where it is 1
-    colour: tuple[Tensor, ...]  # channels
+    DELTA = "point or directional"
+    AREA = "area"
+    INFINITE = "environment"
+
+
+class LightSample(NamedTuple):
+    """Light that arrives at points ``[...]``, one row for each of the L sources."""
+
+    wi: Tensor  # [L, ..., 3] unit, to the light
+    distance: Tensor  # [L, ..., 1] to where it comes from, infinite for INFINITE lights and directions
+    radiance: Tensor  # [L, ..., C]; of a DELTA light the irradiance on a plane facing it
+    pdf: Tensor  # [L, ..., 1] per steradian of wi at the points; 1 for DELTA lights
 
 
 class Light(Value):
     """Interface of the lights. ``len(light)`` is L, the number of sources it stands for."""
+
+    kind: ClassVar[LightKind]
 
     def __len__(self) -> int:
         return 1
@@ -30,12 +53,34 @@ class Light(Value):
         """C, the number of colour channels."""
         return max((t.shape[-1] for _, t, spec in self.own_tensors() if spec.size is None), default=1)
 
+    @abstractmethod
+    def sample(self, points: Tensor, u: Tensor | None = None) -> LightSample:
+        """Light that arrives at ``points [..., 3]``, from uniform numbers ``u [..., 2]`` in [0, 1) where the light is no delta."""
 
-class LocalLight(Light):
+    @abstractmethod
+    def pdf(self, wi: Tensor, points: Tensor | None = None) -> Tensor:
+        """Density ``[L, ..., 1]`` per steradian with which :meth:`sample` gives ``wi [..., 3]``; 0 for DELTA lights."""
+
+    @abstractmethod
+    def radiance(self, wi: Tensor, points: Tensor | None = None) -> Tensor:
+        """Radiance ``[..., C]`` arriving from ``wi [..., 3]`` at ``points [..., 3]``; 0 for DELTA lights, which no ray meets."""
+
+
+class Arrival(NamedTuple):
+    """Light of a :class:`DeltaLight` in components; each with a leading axis of L where there is more than one source."""
+
+    wi: Vec  # unit, to the light; without the axes of the points where it is the same at all of them
+    falloff: Tensor | None  # factor of the colour; None where it is 1
+    colour: Channels
+
+
+class DeltaLight(Light):
     """Interface of lights that reach each point from one direction: each answers with irradiance on a plane facing it.
 
     Parameters are ``[L, k]``; ``[k]`` stands for one light.
     """
+
+    kind = LightKind.DELTA
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,32 +100,50 @@ class LocalLight(Light):
         return int(batch[0]) if batch else 1
 
     @abstractmethod
-    def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
-        """One :class:`Arrival` per light at ``points`` (components ``[...]``)."""
+    def arrive(self, points: Vec, layout: Layout) -> Arrival:
+        """The light at ``points`` (components ``[...]``), all L sources at once."""
 
     @abstractmethod
-    def shadow_targets(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Unit direction ``[L, ..., 3]`` and distance ``[L, ..., 1]`` of what a shadow ray from ``points [..., 3]`` must reach."""
+    def distance(self, points: Vec, wi: Vec, layout: Layout) -> Tensor:
+        """How far the sources are from ``points`` along ``wi``, as :meth:`arrive` gave it."""
 
-    def incident(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """``wi [L, ..., 3]``, unit, and the irradiance ``[L, ..., C]`` on a plane facing the light, at ``points [..., 3]``."""
-        at = vector.components(numerics.widen(arguments.floats(points, "points", 3)))
-        found = self.arrivals(at, wide=False)
-        wi = torch.stack([_planes(a.wi, at.x) for a in found], 1)
-        strength = torch.stack([_planes([c if a.falloff is None else c * a.falloff for c in a.colour], at.x) for a in found], 1)
-        return wi.movedim(0, -1).to(points.dtype), strength.movedim(0, -1).to(points.dtype)
+    def groups(self, size: int) -> Iterator[tuple[slice, "DeltaLight"]]:
+        """The rows and the lights of groups of ``size`` sources at most."""
+        count = len(self)
+        for first in range(0, count, size):
+            rows = slice(first, min(first + size, count))
+            yield rows, self if rows == slice(0, count) else self[rows]
 
-    def rows(self, like: Tensor) -> list[tuple[Tensor, ...]]:
-        """The parameters of one light after the other, in the dtype and on the device of ``like``."""
-        tensors = [numerics.widen(t).to(like).expand(len(self), t.shape[-1]) for _, t, _ in self.own_tensors()]
-        return list(zip(*[t.unbind(0) for t in tensors], strict=True))
+    def sample(self, points: Tensor, u: Tensor | None = None) -> LightSample:
+        """``radiance`` is the irradiance on a plane facing the light; ``u`` is not needed."""
+        layout = Layout.beside(arguments.floats(points, "points", 3))
+        at = layout.vector(numerics.widen(points))
+        found = self.arrive(at, layout)
+        shape = (len(self), *points.shape[:-1])
+        # A direction of length 0 is none: nothing comes from there.
+        strength = numerics.step(vector.dot(found.wi, found.wi)) * (1.0 if found.falloff is None else found.falloff)
+        parts = (found.wi, (self.distance(at, found.wi, layout),), [c * strength for c in found.colour], (torch.ones_like(at.x),))
+        return LightSample(*(vector.stack([c.expand(shape) for c in part]).to(points.dtype) for part in parts))
 
+    def pdf(self, wi: Tensor, points: Tensor | None = None) -> Tensor:
+        """0: no sampled direction meets a delta light."""
+        return wi.new_zeros(len(self), *wi.shape[:-1], 1)
 
-def _planes(parts: tuple[Tensor, ...] | list[Tensor], like: Tensor) -> Tensor:
-    """``[k, ...]`` of k parts that broadcast to the shape of ``like``."""
-    return torch.stack([p.expand_as(like) for p in parts])
+    def radiance(self, wi: Tensor, points: Tensor | None = None) -> Tensor:
+        """0: no ray meets a delta light."""
+        return wi.new_zeros(*wi.shape[:-1], self.channels)
 
+    def axis(self, parameter: Tensor, points: Vec, layout: Layout) -> tuple[Tensor, ...]:
+        """The columns of a parameter ``[L, k]`` beside points ``[...]``: ``[L, 1, ...]``, or ``[]`` of a single light."""
+        rows = numerics.widen(parameter).to(points.x)
+        columns = rows.expand(len(self), rows.shape[-1]).unbind(-1)
+        if len(self) == 1:
+            return tuple(c.squeeze(0) for c in columns)
+        return tuple(c.reshape(-1, *(1,) * points.x.dim()) for c in columns)
 
-def colour_parts(colour: Tensor, wide: bool) -> tuple[Tensor, ...]:
-    """One light's colour ``[C]`` as the channels that a formula maps over."""
-    return (colour,) if wide else colour.unbind(-1)
+    def colour_axis(self, colour: Tensor, points: Vec, layout: Layout) -> Channels:
+        """A colour ``[L, C]`` as channels beside points."""
+        columns = self.axis(colour, points, layout)
+        if not layout.wide:
+            return columns
+        return (torch.cat([c if c.dim() else c.reshape(1) for c in columns], -1),)

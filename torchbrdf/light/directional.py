@@ -10,32 +10,32 @@ irradiance  [L, C] >= 0, W/m^2    on a plane that faces the light
 A direction of length 0 is no direction: such a light gives nothing (gradient 0). Source: Lambert 1760.
 
 >>> import torch, torchbrdf as tb
->>> wi, irradiance = tb.DirectionalLight([0.0, 0.0, 2.0], 3.0).incident(torch.zeros(1, 3))
->>> wi.tolist(), irradiance.tolist()
+>>> light = tb.DirectionalLight([0.0, 0.0, 2.0], 3.0).sample(torch.zeros(1, 3))
+>>> light.wi.tolist(), light.radiance.tolist()
 ([[[0.0, 0.0, 1.0]]], [[[3.0]]])
 """
 
 import torch
 from torch import Tensor
 
-from .. import numerics, vector
+from .. import vector
+from ..geometry import Layout
 from ..interval import NONNEGATIVE, REAL
 from ..value import COLOUR, VECTOR, param, value
 from ..vector import Vec
-from .base import Arrival, LocalLight, colour_parts
+from .base import Arrival, DeltaLight
 
 
 @value
-class DirectionalLight(LocalLight):
+class DirectionalLight(DeltaLight):
     """L parallel lights; ``direction [L, 3]`` points to the light, ``irradiance [L, C]`` is on a plane facing it."""
 
     direction: Tensor = param(REAL, VECTOR, "to the light")
     irradiance: Tensor = param(NONNEGATIVE, COLOUR, "on a plane facing the light, W/m^2")
 
-    def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
-        return [Arrival(vector.normalize_components(Vec(*d.unbind(-1))), None, colour_parts(e, wide)) for d, e in self.rows(points.x)]
+    def arrive(self, points: Vec, layout: Layout) -> Arrival:
+        wi = vector.normalize_components(Vec(*self.axis(self.direction, points, layout)))
+        return Arrival(wi, None, self.colour_axis(self.irradiance, points, layout))
 
-    def shadow_targets(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        at = numerics.widen(points)
-        wi = vector.normalize(self.direction.to(at)).expand(len(self), 3).reshape(len(self), *(1,) * (at.dim() - 1), 3)
-        return wi.expand(len(self), *at.shape), at.new_full((len(self), *at.shape[:-1], 1), torch.inf)
+    def distance(self, points: Vec, wi: Vec, layout: Layout) -> Tensor:
+        return torch.full_like(wi.z, torch.inf)

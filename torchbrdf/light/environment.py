@@ -44,7 +44,7 @@ from ..interval import NONNEGATIVE, REAL
 from ..pictures import read_image
 from ..value import COLOUR, VECTOR, param, value
 from ..vector import Vec
-from .base import Light
+from .base import Light, LightKind
 
 
 class Orientation(NamedTuple):
@@ -72,6 +72,7 @@ class EnvironmentMap(Light):
     texels: Tensor = param(NONNEGATIVE, COLOUR, "radiance, W/(m² sr)")
     to_world: Tensor | None = param(REAL, VECTOR, "rotation that turns the map", default=None)
     convention: str = "mitsuba"
+    kind = LightKind.INFINITE
 
     def check_shapes(self) -> None:
         if not isinstance(self.convention, str) or self.convention not in ORIENTATIONS:

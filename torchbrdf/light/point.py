@@ -13,37 +13,34 @@ A point that coincides with a light receives nothing from it (gradient 0). A lig
 overflow, counts as that near (gradient 0 by the distance). Source: Lambert 1760.
 
 >>> import torch, torchbrdf as tb
->>> tb.PointLight([0.0, 0.0, 2.0], 8.0).incident(torch.zeros(1, 3))[1].tolist()
+>>> tb.PointLight([0.0, 0.0, 2.0], 8.0).sample(torch.zeros(1, 3)).radiance.tolist()
 [[[2.0]]]
 """
 
 from torch import Tensor
 
 from .. import numerics, vector
+from ..geometry import Layout
 from ..interval import NONNEGATIVE, REAL
 from ..value import COLOUR, VECTOR, param, value
 from ..vector import Vec
-from .base import Arrival, LocalLight, colour_parts
+from .base import Arrival, DeltaLight
 
 
 @value
-class PointLight(LocalLight):
+class PointLight(DeltaLight):
     """L point lights at ``position [L, 3]`` of radiant ``intensity [L, C]``."""
 
     position: Tensor = param(REAL, VECTOR, "where the lights are")
     intensity: Tensor = param(NONNEGATIVE, COLOUR, "radiant intensity, W/sr")
 
-    def arrivals(self, points: Vec, wide: bool) -> list[Arrival]:
-        found = []
-        for position, intensity in self.rows(points.x):
-            towards = vector.subtract(Vec(*position.unbind(-1)), points)
-            wi, inverse = vector.direction_and_inverse_length(towards)
-            inverse = inverse.clamp_max(1.0 / numerics.negligible(inverse.dtype))
-            found.append(Arrival(wi, inverse * inverse, colour_parts(intensity, wide)))
-        return found
+    def arrive(self, points: Vec, layout: Layout) -> Arrival:
+        wi, inverse = vector.direction_and_inverse_length(self._towards(points, layout))
+        near = inverse.clamp_max(1.0 / numerics.negligible(inverse.dtype))
+        return Arrival(wi, near * near, self.colour_axis(self.intensity, points, layout))
 
-    def shadow_targets(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        at = numerics.widen(points)
-        position = self.position.to(at).expand(len(self), 3).reshape(len(self), *(1,) * (at.dim() - 1), 3)
-        wi, distance = vector.direction_and_length(vector.components(position - at))
-        return vector.stack(wi), distance.unsqueeze(-1)
+    def distance(self, points: Vec, wi: Vec, layout: Layout) -> Tensor:
+        return vector.dot(wi, self._towards(points, layout))
+
+    def _towards(self, points: Vec, layout: Layout) -> Vec:
+        return vector.subtract(Vec(*self.axis(self.position, points, layout)), points)

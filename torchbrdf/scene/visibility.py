@@ -65,9 +65,9 @@ def _targets(lights: Any, points: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
     for k, light in enumerate(lights if isinstance(lights, Sequence) else (lights,)):
         if light is None or isinstance(light, int | float | str | Tensor | Sequence):
             arguments.of_kind(light, f"lights[{k}]", Value, "tb.PointLight(position, intensity)")
-        if hasattr(light, "shadow_targets"):
-            direction, distance = light.shadow_targets(points)
-            yield from zip(direction.unbind(0), distance.unbind(0), strict=True)
+        if getattr(getattr(light, "kind", None), "name", "") == "DELTA":
+            found = light.sample(points)
+            yield from zip(found.wi.unbind(0), found.distance.unbind(0), strict=True)
 
 
 def _facing_normal(g: GBuffer, mesh: Mesh) -> Tensor:
