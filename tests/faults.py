@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import torch
 
 import torchbrdf as tb
-from torchbrdf import geometry, numerics, vector
-from torchbrdf.bsdf import base, blinn_phong, combine, lambert, mirror, phong
-from torchbrdf.bsdf.base import Draw
+from torchbrdf import geometry, numerics, sampling, vector
+from torchbrdf.bsdf import base, blinn_phong, lambert, mirror, phong, sampler
+from torchbrdf.bsdf.lobe import Delta
 from torchbrdf.geometry import each
 from torchbrdf.optics import fresnel
 from torchbrdf.vector import Vec
@@ -81,14 +81,14 @@ def blinn_normalised_as_distribution(_: Any) -> Any:
 
 
 def phong_without_fresnel_in_albedo(original: Any) -> Any:
-    def albedo(self: Any, wo: Any, n: Any = None, *, order: int = 48) -> Any:
-        return original(self.replace(fresnel=None), wo, n, order=order)
+    def albedo(self: Any, w: Any, n: Any = None, tangent: Any = None, *, order: int = 48) -> Any:
+        return original(self.replace(fresnel=None), w, n, tangent, order=order)
 
     return albedo
 
 
 def fresnel_at_viewer(_: Any) -> Any:
-    return lambda g, k, f, lobe: each(lambda k, f: k * f * lobe, g.colour(k), f.terms(g, g.cos_o))
+    return lambda g, k, f, lobe: each(lambda k, f: k * f * lobe, g.colour(k), f.terms(g.viewer.layout, g.cos_o))
 
 
 def cosine_in_evaluate(original: Any) -> Any:
@@ -96,13 +96,12 @@ def cosine_in_evaluate(original: Any) -> Any:
     return lambda self, g: tuple(f * g.cos_i for f in original(self, g))
 
 
-def sample_without_cosine(_: Any) -> Any:
-    def draw(model: Any, wi: Any, wo: Any, wide: bool) -> Draw:
-        g = geometry.Geometry(wi, wo, base.local_normal(wi), None, wide)
-        pdf = model.density(g)
-        return Draw(wi, tuple(f / pdf for f in model.formula(g)), pdf, torch.zeros_like(pdf, dtype=torch.int64))
+def sample_without_cosine(original: Any) -> Any:
+    def spread(model: Any, viewer: Any, u: Any, share: Any) -> Any:
+        found = original(model, viewer, u, share)
+        return found._replace(weight=tuple(w / found.wi.z for w in found.weight))
 
-    return draw
+    return spread
 
 
 def lambert_density_of_viewer(_: Any) -> Any:
@@ -129,38 +128,46 @@ def half_vector_without_jacobian(_: Any) -> Any:
 
 
 def sampler_of_other_exponent(original: Any) -> Any:
-    return lambda u, power: original(u, power - 5.0)
+    return lambda x, y, power: original(x, y, power - 5.0)
 
 
 def horizon_not_masked(_: Any) -> Any:
     return property(lambda self: self.cos_o > -2.0)
 
 
-def sampler_ignores_horizon(original: Any) -> Any:
-    def sampled(self: Any, d: Any, wi: Any, visible: Any, wide: bool, dtype: Any) -> Any:
-        return original(self, d._replace(wi=Vec(d.wi.x, d.wi.y, d.wi.z.abs())), wi, torch.ones_like(visible), wide, dtype)
+def one_sided_density(original: Any) -> Any:
+    """Nobody masks the pdf of samples that leave the domain."""
 
-    return sampled
+    def spread(model: Any, viewer: Any, u: Any, share: Any) -> Any:
+        found = original(model, viewer, u, share)
+        return found._replace(pdf=model.density(geometry.Geometry(viewer, found.wi)))
+
+    return spread
 
 
 def mirror_through_normal(_: Any) -> Any:
     """Reflects back where the light came from."""
-
-    def draw(self: Any, wo: Any, u: Any, wide: bool) -> Draw:
-        one = torch.ones_like(wo.z)
-        weight = self.reflectance(geometry.Geometry(wo, wo, wo, None, wide), wo.z)
-        return Draw(wo, weight, one, torch.zeros_like(one, dtype=torch.int64))
-
-    return draw
+    return lambda self, viewer: [Delta(viewer.wo, viewer.cos_o, self.reflectance(viewer))]
 
 
-def delta_weight_without_share(_: Any) -> Any:
-    """A sum that forgets how seldom it chose the term."""
+def delta_weight_without_share(original: Any) -> Any:
+    """A sum that forgets how seldom it chose the delta lobe."""
 
-    def mixed(self: Any, d: Any, wo: Any, share: Any, term: Any, offset: int, wide: bool) -> Draw:
-        return d._replace(pdf=d.pdf * share, lobe=d.lobe + offset)
+    def delta(model: Any, viewer: Any, d: Any, share: Any, u: Any) -> Any:
+        found = original(model, viewer, d, share, u)
+        return found._replace(weight=tuple(w * share for w in found.weight))
 
-    return mixed
+    return delta
+
+
+def wrong_side(_: Any) -> Any:
+    """Only the viewer is asked where it stands."""
+    return lambda self, g: g.cos_o > 0
+
+
+def albedo_without_swap(_: Any) -> Any:
+    """The light that arrives at w, not along it: the same for reciprocal models alone."""
+    return property(lambda self: self)
 
 
 def clamp_kills_gradient(_: Any) -> Any:
@@ -200,7 +207,7 @@ def albedo_of_first_pixel(original: Any) -> Any:
 
 
 def interleaved(_: Any) -> Any:
-    def join(channels: Any, wide: bool) -> Any:
+    def join(self: Any, channels: Any) -> Any:
         return torch.stack(torch.broadcast_tensors(*channels), -1)
 
     return join
@@ -264,23 +271,24 @@ FAULTS = (
     Fault("albedo forgets Fresnel", "albedo", phong.Phong, "directional_albedo", phong_without_fresnel_in_albedo, _phong),
     Fault("F(n.wo) instead of F(wi.h)", "reciprocity", phong, "tinted", fresnel_at_viewer, _phong),
     Fault("a cosine too many", "reciprocity", phong.Phong, "formula", cosine_in_evaluate, _plain_phong),
-    Fault("sample without cosine", "weights_match", phong, "draw_from", sample_without_cosine, _plain_phong),
-    Fault("sample without cosine", "mean_weight", lambert, "draw_from", sample_without_cosine, _lambert),
+    Fault("sample without cosine", "weights_match", sampler, "_spread", sample_without_cosine, _plain_phong),
+    Fault("sample without cosine", "mean_weight", sampler, "_spread", sample_without_cosine, _lambert),
     Fault("density of wo", "samples_follow_pdf", lambert.Lambert, "density", lambert_density_of_viewer, _lambert),
     Fault("density of wo", "pdf_integrates_to_one", lambert.Lambert, "density", lambert_density_of_viewer, _lambert),
     Fault("wrong pdf exponent", "samples_follow_pdf", phong.Phong, "density", phong_pdf_exponent, _plain_phong),
-    Fault("sampler of another exponent", "samples_follow_pdf", blinn_phong, "cosine_power_direction", sampler_of_other_exponent, _blinn),
+    Fault("sampler of another exponent", "samples_follow_pdf", sampling, "cosine_power", sampler_of_other_exponent, _blinn),
     Fault("dropped Jacobian", "pdf_integrates_to_one", blinn_phong.BlinnPhong, "density", half_vector_without_jacobian, _blinn),
-    Fault("no horizon", "dark_below_horizon", geometry.Geometry, "lit", horizon_not_masked, _lambert),
-    Fault("samples leak below", "dark_below_horizon", base.Bsdf, "_sampled", sampler_ignores_horizon, _mirror),
-    Fault("mirror sends light back", "delta_lobes", mirror.Mirror, "draw", mirror_through_normal, _mirror),
-    Fault("share of a delta lobe", "mean_weight", combine.Sum, "_mixed", delta_weight_without_share, _with_mirror),
+    Fault("no horizon", "dark_outside_domain", geometry.Geometry, "above", horizon_not_masked, _lambert),
+    Fault("domain of the viewer alone", "dark_outside_domain", base.Bsdf, "domain", wrong_side, _lambert),
+    Fault("pdf beyond the domain", "dark_outside_domain", sampler, "_spread", one_sided_density, _blinn),
+    Fault("mirror sends light back", "delta_lobes", mirror.Mirror, "deltas", mirror_through_normal, _mirror),
+    Fault("share of a delta lobe", "mean_weight", sampler, "_delta", delta_weight_without_share, _with_mirror),
     Fault("clamp kills a gradient", "gradients", lambert.Lambert, "formula", clamp_kills_gradient, lambda: tb.Lambert([0.5, 0.5, 0.5])),
     Fault("exponent detached", "gradients", numerics, "log1p_power", exponent_detached, _plain_phong),
     Fault("second derivative lost", "second_gradients", fresnel, "_fifth_power", second_derivative_lost, _phong),
     Fault("first material for all", "broadcasting", lambert.Lambert, "formula", albedo_of_first_pixel, _lambert),
     Fault("branches on data", "vmap", lambert.Lambert, "formula", branches_on_data, _lambert),
-    Fault("interleaved result", "planar_memory", base, "join", interleaved, _lambert),
+    Fault("interleaved result", "planar_memory", geometry.Layout, "join", interleaved, _lambert),
     Fault("computes in half precision", "dtypes", numerics, "widen", computed_in_half, _phong),
     Fault("bias on the cosine", "dtypes", geometry.Geometry, "mirror_complement", float32_cosine, lambda: tb.Phong(1.0, 200.0)),
     Fault("branches on data", "compiles", lambert.Lambert, "formula", branches_on_data, _lambert),

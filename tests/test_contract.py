@@ -11,7 +11,7 @@ from torch import Tensor
 
 import torchbrdf as tb
 from torchbrdf import registry
-from torchbrdf.bsdf.base import Bsdf, draw_from
+from torchbrdf.bsdf.base import Bsdf
 from torchbrdf.bsdf.lambert import Lambert
 from torchbrdf.interval import UNIT
 from torchbrdf.optics.fresnel import Fresnel
@@ -87,7 +87,7 @@ class Retroreflector(Bsdf):
 
     albedo: Tensor = tb.param(UNIT, COLOUR, "strength")
 
-    lobes = (tb.Lobe.GLOSSY,)
+    lobes = (tb.Lobe.GLOSSY_REFLECTION,)
 
     def formula(self, g):
         cos = g.wi_h * g.wi_h  # (1 + wi.wo) / 2
@@ -96,8 +96,8 @@ class Retroreflector(Bsdf):
     def density(self, g):
         return Lambert(self.albedo).density(g)
 
-    def draw(self, wo, u, wide):
-        return draw_from(self, Lambert(self.albedo).draw(wo, u, wide).wi, wo, wide)
+    def draw(self, viewer, u):
+        return Lambert(self.albedo).draw(viewer, u)
 
     @property
     def energy_bound(self):

@@ -67,7 +67,7 @@ def test_mirror():
     torch.testing.assert_close(s.wi, wo * torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
     assert s.pdf.item() == 1
     assert tb.Mirror().evaluate(s.wi, wo).item() == 0
-    assert tb.Mirror().lobes == (tb.Lobe.MIRROR,)
+    assert tb.Mirror().lobes == (tb.Lobe.DELTA_REFLECTION,)
     assert tb.Mirror().sample(-wo, torch.rand(1, 2, dtype=torch.float64)).weight.item() == 0
 
 
@@ -78,11 +78,11 @@ def test_sum_and_scaled():
     expected = 2 * a.evaluate(wi, wo) + (2 + torch.tensor([0.5, 0.0, 1.0], dtype=torch.float64)) * b.evaluate(wi, wo)
     torch.testing.assert_close(both.evaluate(wi, wo), expected)
     assert len((a + b + a).terms) == 3, "flat"
-    assert both.lobes == (tb.Lobe.DIFFUSE, tb.Lobe.GLOSSY, tb.Lobe.GLOSSY)
+    assert both.lobes == (tb.Lobe.DIFFUSE_REFLECTION, tb.Lobe.GLOSSY_REFLECTION, tb.Lobe.GLOSSY_REFLECTION)
     assert both.energy_bound.tolist() == pytest.approx([2 * 0.5 + 0.2, 2 * 0.6, 2 * 0.7 + 0.4])
     assert (a + tb.Phong(0.4, 9.0, normalization="none")).energy_bound is None
-    assert both.select([tb.Lobe.MIRROR]) is None
-    torch.testing.assert_close((a + b).select([tb.Lobe.GLOSSY]).evaluate(wi, wo), b.evaluate(wi, wo).expand(50, 1))
+    assert both.select(tb.Lobe.DELTA) is None
+    torch.testing.assert_close((a + b).select(tb.Lobe.GLOSSY).evaluate(wi, wo), b.evaluate(wi, wo).expand(50, 1))
 
 
 def test_pdf_and_sampler_agree_in_any_frame():
@@ -90,7 +90,7 @@ def test_pdf_and_sampler_agree_in_any_frame():
     bsdf = tb.Lambert(0.3) + tb.Phong(0.5, 8.0) + tb.BlinnPhong(0.4, 60.0)
     n = tb.normalize(torch.randn(500, 3, dtype=torch.float64))
     wo = tb.Frame.from_normal(n).to_world(above(500, generator(3)))
-    s = bsdf.sample(wo, torch.rand(500, 2, dtype=torch.float64), n)
+    s = bsdf.sample(wo, torch.rand(500, 3, dtype=torch.float64), n)
     torch.testing.assert_close(s.pdf, bsdf.pdf(s.wi, wo, n), rtol=1e-9, atol=1e-12)
 
 
@@ -106,7 +106,7 @@ def test_any_number_of_channels(channels):
     """Few are written out, many broadcast; each channel is what it is alone."""
     gen = generator(channels)
     k, f0, eta = (torch.rand(channels, generator=gen, dtype=torch.float64) + 0.1 for _ in range(3))
-    wi, wo, u = above(6, gen), above(6, gen), torch.rand(6, 2, generator=gen, dtype=torch.float64)
+    wi, wo, u = above(6, gen), above(6, gen), torch.rand(6, 3, generator=gen, dtype=torch.float64)
 
     def model(i):
         diffuse = tb.Lambert(k[i] * 0.5) + tb.Phong(k[i], 9.0, fresnel=tb.Schlick(f0[i] * 0.5))
@@ -122,7 +122,7 @@ def test_any_number_of_channels(channels):
         torch.testing.assert_close(model(every).directional_albedo(wo)[:, one], model(one).directional_albedo(wo))
     assert model(every).pdf(wi, wo).shape == (6, 1)
     sample = model(every).sample(wo, u)
-    assert [tuple(x.shape) for x in sample] == [(6, 3), (6, channels), (6, 1), (6, 1)]
+    assert [tuple(x.shape) for x in sample] == [(6, 3), (6, channels), (6, 1), (6, 1), (6, 1)]
 
 
 def test_sharp_lobe_in_float32():
@@ -148,7 +148,7 @@ def test_parameters_given_as_numbers_follow_the_device(kind):
             tb.Lambert(c) + tb.Phong(c, 20.0, fresnel=tb.Dielectric(1.5)) + 0.3 * tb.Mirror(c, tb.Conductor(c, c)) + tb.BlinnPhong(0.2, 9.0)
         )
         with FakeTensorMode(allow_non_fake_inputs=True):
-            w, u = torch.empty(7, 3, device=kind), torch.empty(7, 2, device=kind)
+            w, u = torch.empty(7, 3, device=kind), torch.empty(7, 3, device=kind)
             s = bsdf.sample(w, u, w)
             results = (bsdf.evaluate(w, w, w), bsdf.pdf(w, w), bsdf.directional_albedo(w), s.wi, s.weight, s.pdf)
             assert all(r.device.type == kind and r.dtype == torch.float32 for r in results)
@@ -156,7 +156,12 @@ def test_parameters_given_as_numbers_follow_the_device(kind):
 
 WRONG = {
     "trailing size": (lambda: tb.Lambert(0.5).evaluate(UP[:, :2], UP), ValueError, r"wi: expected shape \[..., 3\], found \[1, 2\]"),
-    "random numbers": (lambda: tb.Lambert(0.5).sample(UP, UP), ValueError, r"u: expected shape \[..., 2\]"),
+    "random numbers": (lambda: tb.Lambert(0.5).sample(UP, UP[:, :1]), ValueError, r"u: expected shape \[..., 3\] .* found \[1, 1\]"),
+    "two numbers for two lobes": (
+        lambda: (tb.Lambert(0.5) + tb.Phong(0.5, 9.0)).sample(UP, UP[:, :2]),
+        ValueError,
+        r"found \[1, 2\], the third chooses among the 2 lobes: torch.rand\(..., 3\)",
+    ),
     "dtype of wo": (lambda: tb.Lambert(0.5).evaluate(UP, UP.float()), TypeError, "wo: float32 on cpu beside wi: float64 on cpu"),
     "dtype of a texture": (
         lambda: tb.Lambert(torch.rand(4, 3)).evaluate(UP, UP),

@@ -30,7 +30,7 @@ _HOME = {
     "scene.camera": ("Camera",),
     "scene.gbuffer": ("GBuffer",),
     "scene.visibility": ("visibility",),
-    "effects.base": ("Decision", "Effect", "Prepared", "Scene", "Surface"),
+    "effects.base": ("Contribution", "Decision", "Effect", "Prepared", "Scene", "Surface"),
     "planning": ("Plan", "plan", "shade"),
     "compiling": ("compile",),
 }

@@ -103,7 +103,8 @@ def _filled(g: Geometry, weight: Channels, pdf: Tensor, lobe: Tensor | int, eta:
     """Everything in the shape of the directions and the random numbers together."""
     zero = torch.zeros_like(g.cos_i + g.cos_o + u.x + pdf)
     index = torch.zeros_like(zero, dtype=torch.int64) + lobe
-    return Sampled(Vec(*(c.expand_as(zero) for c in g.wi)), weight, pdf.expand_as(zero), index, zero + eta)
+    whole = tuple(w.expand(torch.broadcast_shapes(w.shape, zero.shape)) for w in weight)
+    return Sampled(Vec(*(c.expand_as(zero) for c in g.wi)), whole, pdf.expand_as(zero), index, zero + eta)
 
 
 def _where(mask: Tensor, a: Sampled, b: Sampled) -> Sampled:

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import arguments, vector
+from .. import arguments, numerics, vector
 from ..value import Value
 from ..vector import components, dot, stack
 from .gbuffer import GBuffer
@@ -66,7 +66,7 @@ def _targets(lights: Any, points: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
         if light is None or isinstance(light, int | float | str | Tensor | Sequence):
             arguments.of_kind(light, f"lights[{k}]", Value, "tb.PointLight(position, intensity)")
         if getattr(getattr(light, "kind", None), "name", "") == "DELTA":
-            found = light.sample(points)
+            found = light.sample(numerics.widen(points))
             yield from zip(found.wi.unbind(0), found.distance.unbind(0), strict=True)
 
 

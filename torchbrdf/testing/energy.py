@@ -6,9 +6,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..bsdf.base import Bsdf, gauss_legendre
+from ..bsdf.base import Bsdf
 from ..bsdf.lambert import Lambert
-from .subject import DELTA, Outcome, above, at_angles, spread
+from ..quadrature import gauss_legendre
+from .subject import DELTA, Outcome, above, at_angles, spread, transmits
 
 ANGLES = (0.0, 45.0, 80.0, 89.0)
 QUADRATURE = 2e-3  # directional_albedo states an error of 1e-3, from the kink at the horizon; twice that
@@ -44,22 +45,26 @@ def albedo(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcom
     return Outcome("albedo", worst <= allowed, worst, "largest |directional_albedo - integral of evaluate|")
 
 
-def hemisphere(bsdf: Bsdf, wo: Tensor) -> tuple[Tensor, float]:
-    """The integral of ``evaluate`` times the cosine for ``wo [1, 3]``, and how far it moved at the last refinement."""
+def hemisphere(bsdf: Bsdf, w: Tensor) -> tuple[Tensor, float]:
+    """The part of the light arriving along ``w [1, 3]`` that leaves again, delta lobes apart: the integral of ``evaluate`` times the
+    cosine of where it goes; and how far it moved at the last refinement."""
     if spread(bsdf) is None:
-        return torch.zeros(1, bsdf.channels, dtype=wo.dtype), 0.0
+        return torch.zeros(1, bsdf.channels, dtype=w.dtype), 0.0
     order, coarse = 32, torch.zeros(())
     while True:
-        wi, weight = _nodes(order)
-        fine = (bsdf.evaluate(wi, wo) * weight).sum(0, keepdim=True)
+        out, weight = _nodes(order, transmits(bsdf))
+        fine = (bsdf.evaluate(w, out) * weight).sum(0, keepdim=True)
         moved = float((fine - coarse).abs().max())
         if order > 32 and (moved < 0.1 * QUADRATURE or order == FINEST):
             return fine, moved
         order, coarse = 2 * order, fine
 
 
-def _nodes(order: int) -> tuple[Tensor, Tensor]:
+def _nodes(order: int, both_sides: bool = False) -> tuple[Tensor, Tensor]:
     """Directions ``[2 order^2, 3]`` and weights ``[2 order^2, 1]``, the cosine included: Gauss in it, midpoints in azimuth."""
+    if both_sides:
+        up, w = _nodes(order)
+        return torch.cat([up, up * torch.tensor([1.0, 1.0, -1.0], dtype=up.dtype)]), torch.cat([w, w])
     z, w = (t.reshape(-1, 1) for t in gauss_legendre(order))
     phi = (torch.arange(2 * order, dtype=z.dtype) + 0.5) * (math.pi / order)
     r = torch.sqrt(1.0 - z * z)

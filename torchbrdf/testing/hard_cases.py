@@ -39,7 +39,8 @@ TRIPLES: tuple[tuple[tuple[float, float, float], ...], ...] = (
     ((0, SHORT, SHORT), (LONG, 0, LONG), (0, 0, SHORT)),  # far from unit length
     ((0.3, 0.4, 0.5), (-0.3, -0.4, 0.5), (0, 0, -1)),
 )
-UNIFORM = ((0.0, 0.0), (0.5, 0.5), (1.0 - 2.0**-24, 1.0 - 2.0**-24), (0.0, 1.0 - 2.0**-24))
+LAST = 1.0 - 2.0**-24
+UNIFORM = ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (LAST, LAST, LAST), (0.0, LAST, 0.0), (LAST, 0.0, LAST))
 COSINES = (0.0, TINY, 0.1, CRITICAL, math.nextafter(CRITICAL, 0), math.nextafter(CRITICAL, 1), 1.0, 1.0 + 2.0**-23, 1.0 + 2.0**-52, -0.1)
 
 

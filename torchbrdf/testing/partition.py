@@ -6,7 +6,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..bsdf.base import Bsdf, gauss_legendre
+from ..bsdf.base import Bsdf
+from ..bsdf.sampler import mixture_density
+from ..quadrature import gauss_legendre
 from ..vector import Frame, normalize
 from .subject import uniform
 
@@ -25,7 +27,7 @@ class Partition(NamedTuple):
     def of(bsdf: Bsdf, wo: Tensor, rng: torch.Generator) -> "Partition":
         """Adapted to where the sampler of ``bsdf`` goes."""
         wi = spread_samples(bsdf, wo, uniform(PILOTS, rng))
-        peak = normalize(wi[bsdf.pdf(wi, wo).squeeze(-1).argmax()])
+        peak = normalize(wi[sampling_density(bsdf, wi, wo).argmax()])
         rings = torch.quantile(complement(wi, peak), torch.linspace(0, 1, RINGS + 1, dtype=wi.dtype))
         edges = torch.cat([torch.zeros(1, dtype=wi.dtype), rings[1:-1], torch.full((1,), 2.0, dtype=wi.dtype)])
         return Partition(Frame.from_normal(peak), edges)
@@ -48,8 +50,13 @@ class Partition(NamedTuple):
         dx = torch.where(low > 0, x * ratio, high) * wt
         phi = (torch.arange(SECTORS)[:, None] + p) * (2.0 * math.pi / SECTORS)
         wi = self.frame.to_world(_around(x.reshape(RINGS, 1, RADIAL, 1), phi.reshape(1, SECTORS, 1, ANGULAR)))
-        pdf = bsdf.pdf(wi.reshape(-1, 3), wo).reshape(RINGS, SECTORS, RADIAL, ANGULAR)
+        pdf = sampling_density(bsdf, wi.reshape(-1, 3), wo).reshape(RINGS, SECTORS, RADIAL, ANGULAR)
         return torch.einsum("rspa,rp,a->rs", pdf, dx, wp * (2.0 * math.pi / SECTORS))
+
+
+def sampling_density(bsdf: Bsdf, wi: Tensor, wo: Tensor) -> Tensor:
+    """The density ``[N]`` of all samples, those outside the model's domain, too (where ``pdf`` is 0), at ``wi [N, 3]`` for ``wo [1, 3]``."""
+    return mixture_density(bsdf, bsdf.geometry(wi, wo)).reshape(len(wi))
 
 
 def complement(wi: Tensor, peak: Tensor) -> Tensor:

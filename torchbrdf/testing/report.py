@@ -16,7 +16,7 @@ from .gradients import gradients, second_gradients
 from .hard_cases import hard_cases
 from .layout import broadcasting, dtypes, planar_memory, vmap
 from .reciprocity import reciprocity
-from .sampling import dark_below_horizon, delta_lobes, mean_weight, pdf_integrates_to_one, samples_follow_pdf, weights_match
+from .sampling import dark_outside_domain, delta_lobes, mean_weight, pdf_integrates_to_one, samples_follow_pdf, weights_match
 from .subject import Outcome, generator, materials
 
 Property = Callable[[Any, torch.Generator, bool], Outcome]
@@ -32,7 +32,7 @@ PROPERTIES: tuple[Property, ...] = (
     samples_follow_pdf,
     weights_match,
     mean_weight,
-    dark_below_horizon,
+    dark_outside_domain,
     delta_lobes,
     broadcasting,
     planar_memory,

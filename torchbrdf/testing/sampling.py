@@ -5,10 +5,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..bsdf.base import Bsdf, Lobe
+from ..bsdf.base import Bsdf
+from ..bsdf.lobe import Lobe
 from ..vector import Frame, reflect
 from .partition import Partition, is_delta, spread_samples
-from .subject import DELTA, Outcome, above, at_angles, directions, spread, uniform
+from .subject import DELTA, Outcome, above, at_angles, directions, spread, transmits, uniform, viewers
 
 ANGLES = (0.0, 45.0, 80.0)
 SIGNIFICANCE = 1e-3  # chance that a right sampler fails, over all directions; the planted faults reach 1e-18 and less
@@ -33,7 +34,8 @@ def delta_probability(bsdf: Bsdf, wo: Tensor) -> float:
     if bsdf.select(DELTA) is None:
         return 0.0
     i = torch.arange(2**15, dtype=wo.dtype)
-    u = torch.stack([(i + 0.5) / len(i), (i * 0.5 * (5**0.5 - 1.0)) % 1.0], -1)  # the golden ratio: a Kronecker lattice
+    golden = (i * 0.5 * (5**0.5 - 1.0)) % 1.0  # a Kronecker lattice
+    u = torch.stack([golden, (i * (2.0**0.5 - 1.0)) % 1.0, (i + 0.5) / len(i)], -1)
     return 1.0 - len(spread_samples(bsdf, wo, u)) / len(i)
 
 
@@ -76,10 +78,10 @@ def weights_match(subject: Any, rng: torch.Generator, thorough: bool = False) ->
     if spread(subject) is None:
         return Outcome.absent(name, "no lobe that has a density")
     frame = Frame.from_normal(directions(1024, rng))
-    wo = frame.to_world(above(1024, rng))
+    wo = frame.to_world(viewers(subject, 1024, rng))
     s = subject.sample(wo, uniform(1024, rng), frame.normal)
     f, pdf = subject.evaluate(s.wi, wo, frame.normal), subject.pdf(s.wi, wo, frame.normal)
-    cos = frame.to_local(s.wi)[:, 2:].clamp_min(0.0)
+    cos = frame.to_local(s.wi)[:, 2:].abs()
     kept = ~is_delta(subject, s.lobe)
     worst = max(_relative((s.weight * s.pdf)[kept], (f * cos)[kept]), _relative(s.pdf[kept], pdf[kept]))
     # the two routes differ by rounding alone, which an exponent of 1e4 magnifies ten-thousandfold
@@ -90,29 +92,39 @@ def _relative(a: Tensor, b: Tensor) -> float:
     return float((a - b).abs().max() / b.abs().max())
 
 
-def dark_below_horizon(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
-    """Samples below the horizon weigh 0, and so do ``evaluate`` and every sample for a viewer down there."""
-    name = "dark_below_horizon"
+def dark_outside_domain(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
+    """Outside ``domain`` everything is 0: ``evaluate``, ``pdf``, the weights of samples. And nothing crosses without a transmission lobe."""
+    name = "dark_outside_domain"
     if not isinstance(subject, Bsdf):
         return Outcome.absent(name, "not a BSDF")
-    wo = torch.cat([above(1024, rng), at_angles(*[89.0] * 1024)])
-    s = subject.sample(wo, uniform(2048, rng))
-    leaked = s.weight[s.wi[:, 2] <= 0].abs().sum()
-    seen_from_below = subject.sample(-wo, uniform(2048, rng)).weight.abs().sum()
-    down = above(2048, rng) * torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
-    values = subject.evaluate(down, wo).abs().sum() + subject.evaluate(wo, down).abs().sum() + subject.evaluate(down, down).abs().sum()
-    total = float(leaked + seen_from_below + values)
+    mirrored = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
+    up = torch.cat([above(1024, rng), at_angles(*[89.0] * 1024)])
+    wo = torch.cat([up, up * mirrored])
+    s = subject.sample(wo, uniform(4096, rng))
+    wi = torch.cat([s.wi, directions(4096, rng), wo * mirrored])
+    wo = wo.repeat(3, 1)
+    dark = ~subject.domain(subject.geometry(wi, wo)).reshape(-1)
+    if not transmits(subject):
+        dark = dark | (wi[:, 2] * wo[:, 2] <= 0)
+    if type(subject).domain is Bsdf.domain:
+        dark = dark | (wi[:, 2] <= 0) | (wo[:, 2] <= 0)
+    leaked = (s.weight.abs().sum(-1) + s.pdf.abs().sum(-1))[dark[:4096] & ~is_delta(subject, s.lobe)]
+    values = subject.evaluate(wi, wo).abs().sum(-1)[dark] + subject.pdf(wi, wo).abs().sum(-1)[dark]
+    total = float(leaked.sum() + values.sum())
     return Outcome(name, total == 0.0, total, "sum of what should be 0")
 
 
 def mean_weight(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
-    """The mean of ``sample(...).weight`` must be the directional albedo, delta lobes included."""
+    """The mean of ``sample(...).weight``, as power, must be the directional albedo, delta lobes included; of reciprocal models."""
     name = "mean_weight"
     if not isinstance(subject, Bsdf):
         return Outcome.absent(name, "not a BSDF")
+    if not subject.reciprocal:
+        return Outcome.absent(name, "the model is not reciprocal: samples follow the light that arrives, the albedo that which leaves")
     count, worst = 100_000 if thorough else 8192, 0.0
     for wo in at_angles(*ANGLES).split(1):
-        weight = subject.sample(wo, uniform(count, rng)).weight
+        s = subject.sample(wo, uniform(count, rng))
+        weight = s.weight * s.eta * s.eta  # of power: radiance grows by the square of the index across an interface
         # 2e-3: twice the stated error of directional_albedo's quadrature, relative to the brightest channel
         floor = 2e-3 * max(1.0, float(weight.mean(0).max())) / STANDARD_ERRORS
         error = (weight.mean(0) - subject.directional_albedo(wo)).abs()
@@ -121,16 +133,23 @@ def mean_weight(subject: Any, rng: torch.Generator, thorough: bool = False) -> O
 
 
 def delta_lobes(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
-    """A mirror lobe samples the mirror direction, its weight times its probability is its albedo; it evaluates to 0."""
-    delta = subject.select(DELTA) if isinstance(subject, Bsdf) else None
-    if delta is None:
+    """``sample`` and ``deltas`` agree on direction and weight; a mirror lobe mirrors; a model of deltas alone evaluates to 0."""
+    if not isinstance(subject, Bsdf) or subject.select(DELTA) is None:
         return Outcome.absent("delta_lobes", "no delta lobe")
-    n = directions(256, rng)
-    wo = Frame.from_normal(n).to_world(above(256, rng))
-    s = delta.sample(wo, uniform(256, rng), n)
-    worst = float(delta.evaluate(s.wi, wo, n).abs().max() + delta.pdf(s.wi, wo, n).abs().max())
-    if all(lobe is Lobe.MIRROR for lobe in delta.lobes):
-        worst = max(worst, float((s.wi - reflect(wo, n)).abs().max()))
-    if len(delta.lobes) == 1:
-        worst = max(worst, float((s.weight * s.pdf - delta.directional_albedo(wo, n)).abs().max()))
+    n = directions(512, rng)
+    wo = Frame.from_normal(n).to_world(viewers(subject, 512, rng))
+    s, viewer = subject.sample(wo, uniform(512, rng), n), subject.viewer(wo, n)
+    worst = 0.0
+    for d in subject.deltas(viewer):
+        taken = ((s.lobe == d.lobe) & (s.pdf > 0)).squeeze(-1)
+        wi, weight = (x.expand(*wo.shape[:-1], x.shape[-1]) for x in (viewer.layout.join_vector(d.wi), viewer.layout.join(d.weight)))
+        worst = max(worst, _largest((s.wi - wi)[taken]), _largest((s.weight * s.pdf - weight)[taken]))
+        if subject.lobes[d.lobe] == Lobe.DELTA_REFLECTION:
+            worst = max(worst, _largest(wi - reflect(wo, n)))
+        if spread(subject) is None:
+            worst = max(worst, _largest(subject.evaluate(wi, wo, n)), _largest(subject.pdf(wi, wo, n)))
     return Outcome("delta_lobes", worst <= 64 * torch.finfo(wo.dtype).eps, worst, "largest error of direction, weight, evaluate")
+
+
+def _largest(x: Tensor) -> float:
+    return float(x.abs().max()) if x.numel() else 0.0

@@ -7,14 +7,14 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from ..bsdf.base import Bsdf, Lobe
-from ..geometry import Geometry
+from ..bsdf.base import Bsdf
+from ..bsdf.lobe import Lobe
+from ..geometry import Layout
 from ..optics.fresnel import Fresnel
 from ..value import Value
 from ..vector import Frame, normalize
 
-DELTA = tuple(lobe for lobe in Lobe if lobe.is_delta)
-SPREAD = tuple(lobe for lobe in Lobe if not lobe.is_delta)
+DELTA, SPREAD = Lobe.DELTA, Lobe.SPREAD
 MARGIN = 0.05  # distance kept from kinks: a hundred times what half precision may move a cosine
 
 
@@ -76,8 +76,22 @@ def at_angles(*degrees: float) -> Tensor:
 
 
 def uniform(count: int, rng: torch.Generator) -> Tensor:
-    """Random numbers ``[count, 2]`` for a sampler."""
-    return torch.rand(count, 2, generator=rng, dtype=torch.float64)
+    """Random numbers ``[count, 3]`` for a sampler."""
+    return torch.rand(count, 3, generator=rng, dtype=torch.float64)
+
+
+def viewers(bsdf: Any, count: int, rng: torch.Generator) -> Tensor:
+    """Local directions ``[count, 3]`` to viewers for whom the model may send light: above, or on both sides."""
+    wo = above(count, rng)
+    return wo if not sees_below(bsdf) else wo * torch.where(torch.arange(count) % 2 == 0, 1.0, -1.0).unsqueeze(-1)
+
+
+def sees_below(bsdf: Any) -> bool:
+    """Whether the domain of a model has viewers below the surface."""
+    wi = at_angles(*range(0, 90, 15))
+    both = torch.cat([wi, wi * torch.tensor([1.0, 1.0, -1.0], dtype=wi.dtype)])
+    below = at_angles(40.0) * torch.tensor([1.0, 1.0, -1.0], dtype=wi.dtype)
+    return isinstance(bsdf, Bsdf) and bool(bsdf.domain(bsdf.geometry(both, below.expand_as(both))).any())
 
 
 def spread(subject: Any) -> Bsdf | None:
@@ -85,17 +99,23 @@ def spread(subject: Any) -> Bsdf | None:
     return subject.select(SPREAD) if isinstance(subject, Bsdf) else None
 
 
+def transmits(bsdf: Bsdf) -> bool:
+    """Whether some lobe sends light to the other side."""
+    return any(lobe.transmits for lobe in bsdf.lobes)
+
+
 def smooth_points(bsdf: Bsdf, rng: torch.Generator, count: int) -> dict[str, Tensor]:
     """``wi, wo, n [count, 3]`` in world space: half of them uniform, half where the sampler goes, all away from kinks."""
     tries = max(16 * count, 1024)
     frame = Frame.from_normal(directions(tries, rng))
-    wo = above(tries, rng)
+    wo = viewers(bsdf, tries, rng)
     sampled = bsdf.sample(wo, uniform(tries, rng)).wi.detach()
-    uniformly = above(tries, rng)
+    uniformly = above(tries, rng) if not (transmits(bsdf) or sees_below(bsdf)) else directions(tries, rng)
     kept = []
     for wi, wanted in ((uniformly, count - count // 2), (sampled, count // 2)):
         w = {"wi": frame.to_world(wi), "wo": frame.to_world(wo), "n": frame.normal}
-        smooth = bsdf.kink_distance(bsdf.geometry(w["wi"], w["wo"], w["n"])).reshape(tries) > MARGIN
+        g = bsdf.geometry(w["wi"], w["wo"], w["n"])
+        smooth = (bsdf.domain(g) & (bsdf.kink_distance(g) > MARGIN)).reshape(tries)
         kept.append({name: v[smooth][:wanted] for name, v in w.items()})
     found = {name: torch.cat([k[name] for k in kept]) for name in kept[0]}
     if len(found["wi"]) == 0:
@@ -107,7 +127,7 @@ def probes(subject: Any, rng: torch.Generator, count: int) -> Iterator[Probe]:
     """The functions through which a value is seen: ``evaluate``, each delta lobe's sample weight, ``reflectance``."""
     if isinstance(subject, Fresnel):
         cos = MARGIN + (1.0 - 2.0 * MARGIN) * torch.rand(64 * count, generator=rng, dtype=torch.float64)
-        smooth = subject.kink_distance(Geometry.of_cosine(cos), cos) > MARGIN
+        smooth = subject.kink_distance(Layout.beside(cos), cos) > MARGIN
         yield Probe("reflectance", lambda v, cos_i: v.reflectance(cos_i), {"cos_i": cos[smooth][:count].unsqueeze(-1)})
         return
     if spread(subject) is not None:
@@ -121,7 +141,7 @@ def probes(subject: Any, rng: torch.Generator, count: int) -> Iterator[Probe]:
 def _delta_weight(bsdf: Bsdf, wo: Tensor, n: Tensor) -> Tensor:
     delta = bsdf.select(DELTA)
     assert delta is not None
-    return delta.sample(wo, torch.full((*wo.shape[:-1], 2), 0.5, dtype=wo.dtype), n).weight
+    return delta.sample(wo, torch.full((*wo.shape[:-1], 3), 0.5, dtype=wo.dtype), n).weight
 
 
 def leaves(value: Value) -> tuple[list[str], list[Tensor], Callable[[list[Tensor]], Any]]:
