@@ -57,8 +57,8 @@ VECTORS = {
     "n of sample": lambda x: PHONG.sample(UP, torch.rand(2), x),
     "wo of directional_albedo": lambda x: PHONG.directional_albedo(x),
     "wo of Lambert's": lambda x: LAMBERT.directional_albedo(x),
-    "points": lambda x: SUN.incident(x),
-    "points of PointLight": lambda x: tb.PointLight(UP, 1.0).incident(x),
+    "points": lambda x: SUN.sample(x),
+    "points of PointLight": lambda x: tb.PointLight(UP, 1.0).sample(x),
     "directions": lambda x: SKY.radiance(x),
     "points of project": lambda x: CAMERA.project(x),
 }

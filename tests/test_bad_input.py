@@ -94,7 +94,7 @@ CASES = {
     "size C": (lambda t: tb.Phong(torch.rand(3), 1.0) + tb.Lambert(torch.rand(4)), ValueError, r"different numbers of colour channels: .*3.*4.*use one C, or 1"),
     "size C within a model": (lambda t: tb.Conductor(torch.ones(3), torch.ones(2)), ValueError, r"Conductor: colour parameters have different numbers of channels: .*3.*2.*use one C, or 1"),
     "size C of a light": (lambda t: shade(bsdf=tb.Lambert(torch.rand(8)), lights=[SUN, tb.PointLight(UP, torch.ones(3))]), ValueError, r"bsdf and lights have different numbers of colour channels: .*'bsdf': 8, .*'lights\[1\]': 3.*; use one C, or 1"),
-    "size of u": (lambda t: tb.Lambert(0.5).sample(UP, torch.rand(3)), ValueError, r"u: expected shape \[..., 2\] of numbers in \[0, 1\), found \[3\]"),
+    "size of u": (lambda t: tb.Lambert(0.5).sample(UP, torch.rand(4)), ValueError, r"u: expected shape \[..., 3\] of numbers in \[0, 1\), found \[4\]"),
     "size of wi": (lambda t: tb.Lambert(0.5).evaluate(torch.rand(2), UP), ValueError, r"wi: expected shape \[..., 3\], found \[2\]"),
     "size of cos_i": (lambda t: tb.Schlick(0.04).reflectance(torch.rand(2)), ValueError, r"cos_i: expected shape \[..., 1\], found \[2\]; did you mean cos_i.unsqueeze"),
     "kind of mask": (lambda t: g(mask=torch.ones(4, 5, 1)), TypeError, r"GBuffer.mask: expected a tensor of bools, found torch.float32; convert it"),

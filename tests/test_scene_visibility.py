@@ -13,29 +13,17 @@ import torchbrdf as tb
 from torchbrdf.scene import visibility as module
 
 
-class Point:
-    """The part of a light that shadows ask for."""
-
-    def __init__(self, *positions):
-        self.positions = torch.tensor(positions)
-
-    def shadow_targets(self, points):
-        to_light = torch.stack([p.to(points) - points for p in self.positions])
-        distance = to_light.norm(dim=-1, keepdim=True)
-        return to_light / distance, distance
+def Point(*positions):
+    return tb.PointLight(torch.tensor(positions), 1.0)
 
 
-class Sun:
-    def __init__(self, *direction):
-        self.direction = tb.normalize(torch.tensor(direction))
-
-    def shadow_targets(self, points):
-        wi = self.direction.to(points).expand(1, *points.shape)
-        return wi, torch.full_like(wi[..., :1], math.inf)
+def Sun(*direction):
+    return tb.DirectionalLight(torch.tensor(direction), 1.0)
 
 
-class Sky:
+def Sky():
     """A light without a direction to cast a ray in."""
+    return tb.EnvironmentMap(torch.ones(2, 4, 3))
 
 
 def ball(scale=1.0, shift=(0.0, 0.0, 0.0), dtype=torch.float32, subdivisions=4):
@@ -50,7 +38,7 @@ def seen(mesh, scale=1.0, shift=(0.0, 0.0, 0.0), size=(96, 96)):
 
 
 def geometric_side(g, light):
-    wi, _ = light.shadow_targets(g.position.double())
+    wi = light.sample(g.position.double()).wi
     return (g.geometric_normal.double() * wi[0]).sum(-1, keepdim=True)
 
 
@@ -163,7 +151,7 @@ def test_spot_shadows_as_mitsuba_casts_them(shared_data, number):
     light = Point(scene["lights"][number])
     channels = OpenEXR.File(str(shared_data / f"spot/lambert_{number}.exr"), separate_channels=True).channels()
     image = torch.from_numpy(channels["R"].pixels.copy())
-    wi, r = light.shadow_targets(g.position)
+    wi, r, _, _ = light.sample(g.position)
     cosine = (g.normal * wi[0]).sum(-1).clamp_min(0.0)
     unshadowed = scene["materials"]["lambert"]["albedo"][0] / math.pi * scene["intensity"] * cosine / r[0, ..., 0] ** 2
     counted = away_from_edges(g) & (unshadowed > 0.02 * unshadowed.max())

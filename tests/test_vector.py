@@ -8,7 +8,7 @@ from torch.autograd import gradcheck, gradgradcheck
 
 import torchbrdf as tb
 from torchbrdf import geometry, vector
-from torchbrdf.geometry import Geometry
+from torchbrdf.geometry import Geometry, Viewer
 from torchbrdf.vector import Vec, components
 
 EPS = torch.finfo(torch.float32).eps
@@ -167,7 +167,7 @@ def test_half_types_round_once(half):
 
 def test_geometry_invariants():
     wi, wo, n = (unit(500) for _ in range(3))
-    g = Geometry(*(components(v) for v in (wi, wo, n)))
+    g = Geometry(Viewer(components(wo), components(n)), components(wi))
     h = tb.normalize(wi + wo)
     expected = {
         "cos_i": (wi * n).sum(-1),
@@ -188,7 +188,7 @@ def test_invariants_keep_their_digits_at_the_mirror_direction():
     off = torch.tensor(1e-4, dtype=torch.float64)
     wi = torch.stack([torch.sin(off), torch.zeros_like(off), torch.cos(off)]).float()
     up = torch.tensor([0.0, 0.0, 1.0])
-    g = Geometry(components(wi), components(up), components(up))
+    g = Geometry(Viewer(components(up), components(up)), components(wi))
     assert float(g.mirror_complement) == pytest.approx(float(1 - torch.cos(off)), rel=1e-3)
     assert float(g.sin2_h) == pytest.approx(float(torch.sin(off / 2) ** 2), rel=1e-3)
 

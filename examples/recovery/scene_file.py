@@ -120,7 +120,7 @@ def _photograph(path: Path) -> tuple[Tensor, Tensor]:
 
 def _faces_light(g: tb.GBuffer, lights: list[tb.Light]) -> Tensor:
     """Where the shading normal faces each light, [L, H, W, 1]."""
-    wi = torch.cat([light.incident(g.position)[0] for light in lights])
+    wi = torch.cat([light.sample(g.position).wi for light in lights])
     return (wi * g.normal).sum(-1, keepdim=True) > 0
 
 

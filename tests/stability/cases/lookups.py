@@ -83,7 +83,7 @@ def point_light(*point):
 
 
 def call_point_light(*point):
-    wi, strength = tb.PointLight(LIGHT, INTENSITY).incident(torch.stack(point, -1))
+    wi, _, strength, _ = tb.PointLight(LIGHT, INTENSITY).sample(torch.stack(point, -1))
     return (*wi[0].unbind(-1), strength[0, :, 0])
 
 

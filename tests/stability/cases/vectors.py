@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from torchbrdf import numerics, vector
-from torchbrdf.geometry import Geometry
+from torchbrdf.geometry import Geometry, Viewer
 from torchbrdf.vector import Vec
 
 from ..case import Case, Draw
@@ -92,7 +92,7 @@ def as_vec(c):
 
 def call_invariants(*c):
     wide = [numerics.widen(x) for x in c]
-    g = Geometry(as_vec(wide[:3]), as_vec(wide[3:6]), as_vec(wide[6:]))
+    g = Geometry(Viewer(as_vec(wide[3:6]), as_vec(wide[6:])), as_vec(wide[:3]))
     found = g.cos_i, g.cos_o, g.wi_h, g.cos_h, g.sin2_h, g.mirror_complement
     return tuple(numerics.rounded_back(x, c[0].dtype) for x in found)
 
