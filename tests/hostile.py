@@ -262,12 +262,12 @@ def read_all(listing: Path, seconds: int, megabytes: int) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what readers print is of no interest here
     warnings.simplefilter("ignore")
     warm_up(listing.parent / "warm")
-    from torchbrdf import files
+    from torchbrdf.io import files
 
     resource.setrlimit(resource.RLIMIT_AS, (memory("VmSize") + (megabytes << 20),) * 2)
     signal.signal(signal.SIGALRM, late)
     for path, believed in map(json.loads, listing.read_text().splitlines()):
-        files.BELIEVED = believed << 20
+        files.MAX_DECODED_BYTES = believed << 20
         print(json.dumps([path, "reading", ""]), file=out, flush=True)
         print(json.dumps([path, *outcome(Path(path), seconds)]), file=out, flush=True)
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 from PIL import Image
 
-from torchbrdf import pictures, read_image, rgbe, save_image
+from torchbrdf import read_image, save_image
+from torchbrdf.io import pictures, rgbe
 
 
 def srgb_decoded(x):

@@ -18,7 +18,7 @@ _HOME = {
     "interval": ("Interval",),
     "vector": ("Frame", "normalize", "reflect", "refract", "is_planar", "planar"),
     "value": ("Value", "load_value", "param", "validate"),
-    "pictures": ("read_image", "save_image"),
+    "io.pictures": ("read_image", "save_image"),
     "optics.fresnel": ("Fresnel",),
     "bsdf.base": ("Bsdf",),
     "bsdf.lobe": ("BSDFSample", "Lobe"),

@@ -16,8 +16,9 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from . import arguments, files, saved
+from . import arguments
 from .interval import Interval
+from .io import files, saved
 
 T = TypeVar("T")
 VALUES: dict[str, type["Value"]] = {}

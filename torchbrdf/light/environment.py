@@ -41,7 +41,7 @@ from torch import Tensor
 
 from .. import arguments, numerics, vector
 from ..interval import NONNEGATIVE, REAL
-from ..pictures import read_image
+from ..io.pictures import read_image
 from ..value import COLOUR, VECTOR, param, value
 from ..vector import Vec
 from .base import Light, LightKind

@@ -9,8 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import arguments, files
+from .. import arguments
 from ..interval import REAL, Interval
+from ..io import files
 from ..value import PAIR, SCALAR, VECTOR, Value, param, value
 from .vertex_normals import angle_weighted
 

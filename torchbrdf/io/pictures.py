@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import arguments, files, raster, rgbe
+from .. import arguments
+from . import files, raster, rgbe
 
 Layers = dict[str, dict[str, np.ndarray]]
 EIGHT_BIT = (".png", ".jpg", ".jpeg")
