@@ -33,6 +33,15 @@ def folder_of(path: str | Path, who: str) -> Path:
     return folder
 
 
+def writable(path: str | Path, who: str, legal: tuple[str, ...]) -> Path:
+    """The path of a file that is to be written, whose folder is there and whose name ends in one of ``legal``."""
+    folder_of(path, who)
+    path = Path(path)
+    if path.suffix.lower() not in legal:
+        raise ValueError(f"{who}: {path}: the name must end in one of {', '.join(legal)}")
+    return path
+
+
 def believable(size: int) -> int:
     """How many decoded bytes are believed of a file of ``size`` bytes."""
     return max(MAX_DECODED_BYTES, MAX_EXPANSION * size)

@@ -1,57 +1,61 @@
-"""Saved states: what ``torch.save`` wrote of plain data and tensors, read from a file that nobody vouches for.
+"""Saved values: one safetensors file, whose tensors bear their paths (``terms[0].albedo``); what holds them is JSON in its header.
 
-The file is a zip archive with a pickle in it, and three things in it may lie: the pickle may name code (``weights_only`` lets
-through torch's own constructors alone), a record may unpack to more than the file (torch never packs), and a tensor of stride 0
-may claim any shape. Lists and dictionaries that hold each other, or hold one another twice, would be followed for ever.
+Neither can hold code, and safetensors refuses a file that its tensors do not fill exactly, so that none claims more than there
+is. Planar tensors stay planar, and one tensor in two places is stored once.
 """
 
-import math
-import pickle
-import re
-import zipfile
+import json
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch.utils import _pytree as pytree
 
-from . import files
+from .. import vector
 
-DEEPEST = 64  # far more than any value needs; a few hundred would exhaust Python's stack wherever the value is used
+ENTRY = "torchbrdf"  # of the header's metadata, which holds the structure
+_TENSOR = "$tensor"  # no field of a value can bear this name
+
+
+def write(path: str | Path, value: Any) -> None:
+    """Write ``value``, a pytree of tensors whose ``state()`` is otherwise plain data."""
+    from safetensors.torch import save_file
+
+    names = {id(t): pytree.keystr(where).removeprefix(".") for where, t in pytree.tree_leaves_with_path(value)}
+    tensors: dict[str, Tensor] = {}
+
+    def store(t: Any) -> dict[str, Any]:
+        if not isinstance(t, Tensor):
+            raise TypeError(f"save: {path}: expected tensors, values, tuples, numbers and strings in a value, found {type(t).__name__}")
+        planar, name = vector.is_planar(t) and not t.is_contiguous(), names[id(t)]
+        plain = (t.movedim(-1, 0) if planar else t).detach().cpu()
+        tensors[name] = plain.clone(memory_format=torch.contiguous_format)  # of which no two share memory
+        return {_TENSOR: name, "planar": planar}
+
+    structure = json.dumps(value.state(), default=store)
+    save_file(tensors, path, {ENTRY: structure})
 
 
 def read(path: Path) -> Any:
-    """The state in ``path``; any error says why it is none. Runs no code from the file."""
-    size = path.stat().st_size
-    with zipfile.ZipFile(path) as archive:
-        unpacked = sum(record.file_size for record in archive.infolist())
-    if unpacked > size:
-        raise ValueError(f"its records unpack to {unpacked} bytes, more than its {size}, but what torch.save writes is not packed")
-    try:
-        state = torch.load(path, weights_only=True)
-    except pickle.UnpicklingError as error:  # torch's own text advises to read it without the safeguard
-        names = re.findall(r"GLOBAL (\S+)", str(error))
-        raise ValueError(f"it names code, {names[0]}, which is never run" if names else "its pickle is damaged") from None
-    _check(state, size)
-    return state
+    """The state in ``path``, on the CPU; any error says why it is none."""
+    from safetensors import safe_open
 
+    with path.open("rb") as file:
+        head = file.read(9)
+    if head.startswith((b"PK", b"\x80")) and head[8:] != b"{":
+        raise ValueError("it is a pickle, as torch.save writes them, which could run code and is never read")
+    with safe_open(path, framework="pt") as file:
+        structure = (file.metadata() or {}).get(ENTRY)
+        tensors = {name: file.get_tensor(name).clone() for name in file.offset_keys()}  # or they would be windows on the file
 
-def _check(state: Any, size: int) -> None:
-    left, seen = [(state, 0)], set()
-    while left:
-        one, depth = left.pop()
-        if depth > DEEPEST:
-            raise ValueError(f"its lists and dictionaries are more than {DEEPEST} deep")
-        if isinstance(one, Tensor):
-            _check_tensor(one, size)
-        elif isinstance(one, dict | list | tuple) and one:
-            if id(one) in seen:
-                raise ValueError("its lists or dictionaries hold each other, or one of them twice")
-            seen.add(id(one))
-            left.extend((inner, depth + 1) for inner in (one.values() if isinstance(one, dict) else one))
+    if structure is None:
+        raise ValueError("it holds tensors alone, such as the weights of a module; read them with safetensors.torch.load_file")
 
+    def fetch(found: dict[str, Any]) -> Any:
+        if _TENSOR not in found:
+            return found
+        tensor = tensors[found[_TENSOR]]
+        return tensor.movedim(0, -1) if found["planar"] else tensor
 
-def _check_tensor(t: Tensor, size: int) -> None:
-    if t.layout != torch.strided or t.is_quantized:
-        raise ValueError(f"it holds a {'quantised' if t.is_quantized else str(t.layout).removeprefix('torch.')} tensor; save dense ones")
-    files.check_claim(math.prod(t.shape) * t.element_size(), size, f"a tensor in it claims the shape {list(t.shape)}")
+    return json.loads(structure, object_hook=fetch)
