@@ -55,9 +55,7 @@ def overview(classes: tuple[type[Any], ...]) -> str:
     rows = [["model", "formula", "parameters", "lobes", "directional albedo", "reciprocal"]]
     for cls in classes:
         parameters = ", ".join(f"`{n}` in {p.constraint}" for n, p in cls.params().items())
-        lobes = "those of its parts" if isinstance(cls.lobes, property) else ", ".join(lobe.value for lobe in cls.lobes)
-        albedo = "in closed form" if "directional_albedo" in vars(cls) else "by quadrature, 48 x 48 nodes"
-        albedo = "from its parts" if isinstance(cls.lobes, property) else albedo
+        lobes = "those of its parts" if isinstance(cls.lobes, property) else ", ".join(lobe.label for lobe in cls.lobes)
         reciprocal = "if its parts are" if isinstance(cls.reciprocal, property) else "yes" if cls.reciprocal else "no"
         rows.append(
             [
@@ -65,11 +63,19 @@ def overview(classes: tuple[type[Any], ...]) -> str:
                 f"${own_formula(cls)}$",
                 parameters or "none of its own",
                 lobes,
-                albedo,
+                albedo_of(cls),
                 reciprocal,
             ]
         )
     return rst.as_table(rows)
+
+
+def albedo_of(cls: type[Any]) -> str:
+    """How a class comes by its directional albedo."""
+    if isinstance(cls.lobes, property):
+        return "from its parts"
+    closed = "albedo_at" in vars(cls) or all(lobe.is_delta for lobe in cls.lobes)
+    return "in closed form" if closed else "by quadrature, 48 x 48 nodes"
 
 
 def own_formula(cls: type[Any]) -> str:

@@ -55,8 +55,8 @@ VECTORS = {
     "wi of pdf": lambda x: PHONG.pdf(x, UP),
     "wo of sample": lambda x: PHONG.sample(x, torch.rand(2)),
     "n of sample": lambda x: PHONG.sample(UP, torch.rand(2), x),
-    "wo of directional_albedo": lambda x: PHONG.directional_albedo(x),
-    "wo of Lambert's": lambda x: LAMBERT.directional_albedo(x),
+    "w of directional_albedo": lambda x: PHONG.directional_albedo(x),
+    "w of Lambert's": lambda x: LAMBERT.directional_albedo(x),
     "points": lambda x: SUN.sample(x),
     "points of PointLight": lambda x: tb.PointLight(UP, 1.0).sample(x),
     "directions": lambda x: SKY.radiance(x),
@@ -107,6 +107,8 @@ CASES = {
     "Lambert None": (lambda: tb.Lambert(None), r"Lambert.albedo: expected a number, .* found None"),
     "Lambert without channels": (lambda: tb.Lambert(torch.ones(4, 0)), r"Lambert.albedo: expected shape \[..., C\] with one channel at least, found \[4, 0\]"),
     "Phong exponent of two": (lambda: tb.Phong(0.5, torch.rand(4, 5, 2)), r"Phong.exponent: expected shape \[..., 1\], found \[4, 5, 2\]"),
+    "TwoSided of a number": (lambda: tb.TwoSided(0.5), "TwoSided.inside: expected a BSDF such as .*found float"),
+    "TwoSided with a number": (lambda: tb.TwoSided(LAMBERT, 0.5), "TwoSided.outside: expected a BSDF such as .*found float"),
     "Phong fresnel": (lambda: tb.Phong(0.5, 2.0, fresnel="schlick"), "Phong.fresnel: expected a Fresnel term such as .*found str"),
     "Phong fresnel module": (lambda: tb.Phong(0.5, 2.0, fresnel=MATERIAL), "Phong.fresnel: expected a Fresnel term such as .*found Material"),
     "Phong normalization": (lambda: tb.Phong(0.5, 2.0, normalization=[]), r"Phong.normalization: found \[\], legal are"),
@@ -266,6 +268,7 @@ def test_every_public_name_is_asked_here_or_beside():
     asked = Path(__file__).read_text(encoding="utf-8") + Path(__file__).with_name("test_bad_input.py").read_text(encoding="utf-8")
     named = {name for name in tb.__all__ if f"tb.{name}" in asked}
     # types that nobody makes by hand, interfaces, and functions of numbers, whose own tests ask them
-    apart = {"BSDFSample", "Bsdf", "Fresnel", "Geometry", "Interval", "Light", "Lobe", "Plan", "Value", "param"}
+    apart = {"BSDFSample", "Bsdf", "Contribution", "Decision", "Effect", "Fresnel", "Geometry", "Interval", "Layout", "Light", "LightKind"}
+    apart |= {"LightSample", "Lobe", "Plan", "Prepared", "Scene", "Surface", "Value", "Viewer", "param"}
     numbers = {"Frame", "fresnel", "is_planar", "microfacet", "normalize", "planar", "reflect", "refract"}
     assert set(tb.__all__) - named - apart - numbers == set()

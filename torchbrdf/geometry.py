@@ -291,7 +291,7 @@ class Geometry:
         return 0.5 * dot(d, d)
 
     def half_across(self, eta: Tensor) -> Vec:
-        """The half vector of refraction, wi + eta wo for ``eta`` = n(side of wo) / n(side of wi), not normalised (Walter et al. 2007, eq. 16)."""
+        """wi + eta wo for ``eta`` = n(side of wo) / n(side of wi): the half vector of refraction, any length (Walter et al. 2007)."""
         return add(self.wi, scale(self.wo, eta))
 
 

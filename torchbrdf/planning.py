@@ -167,12 +167,13 @@ def shade(
     visibility: Tensor | None = None,
     per_light: bool = False,
     generator: torch.Generator | None = None,
+    tolerance: float | None = None,
     effects: Sequence[Effect] = (),
     **wishes: str,
 ) -> Tensor:
     """Radiance ``[..., H, W, C]`` of a G-buffer: :func:`plan`, prepare and run in one call. ``mesh=`` lets that mesh cast shadows."""
     sources = check.as_list(lights)
-    found = plan(g, bsdf, sources, mesh, visibility=visibility, effects=effects, **wishes)
+    found = plan(g, bsdf, sources, mesh, tolerance, visibility=visibility, effects=effects, **wishes)
     prepared = found.prepare(g, sources, mesh, visibility, generator)
     return found(g, bsdf, sources, prepared, per_light=per_light)
 
@@ -189,7 +190,7 @@ def _each_once(found: Sequence[Any]) -> tuple[Any, ...]:
 def _refuse_unserved(lobes: Sequence[Lobe], kinds: Sequence[LightKind], effects: Sequence[Effect]) -> None:
     """A lobe under a light that no effect brings together would be dark without a word. (Deltas meet deltas with probability 0.)"""
     for kind in kinds:
-        missed = [l.label for l in lobes if not (l.is_delta and kind is LightKind.DELTA) and not any(e.serves(l, kind) for e in effects)]
+        missed = [m.label for m in lobes if not (m.is_delta and kind is LightKind.DELTA) and not any(e.serves(m, kind) for e in effects)]
         if missed and kind is LightKind.INFINITE:
             raise ValueError(
                 f"lights: in this version an EnvironmentMap lights mirror lobes alone, and the material has {', '.join(missed)}; shade the "

@@ -70,6 +70,12 @@ class Bsdf(Value):
         """Where (bool) the model sends light: both directions strictly above the horizon, unless a model says otherwise."""
         return g.above
 
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
+        """The directional albedo of light arriving along ``viewer.wo``: by quadrature, unless a model has it in closed form."""
+        from .albedo import quadrature_albedo
+
+        return quadrature_albedo(self, viewer, order)
+
     def strength(self, viewer: Viewer) -> Tensor:
         """A cheap estimate ``[...]`` of the share of light that the lobes other than deltas reflect: how often a sum samples them."""
         bound = self.energy_bound
@@ -138,12 +144,10 @@ class Bsdf(Value):
         In closed form where there is one; else by a product quadrature of ``order^2`` nodes over the sampler's own unit square
         (error about 1e-3 at order 48, from the kink at the horizon), in chunks of bounded memory.
         """
-        from .albedo import albedo
-
         if not isinstance(order, int) or order < 1:
             raise ValueError(f"order: expected the number of nodes along one side, a whole number >= 1, found {order!r}")
         viewer = self.viewer(arguments.floats(w, "w", 3), n, tangent)
-        return viewer.layout.join(albedo(self, viewer, order)).to(w.dtype)
+        return viewer.layout.join(self.albedo_at(viewer, order)).to(w.dtype)
 
     # Around them -------------------------------------------------------------------------------------------------------
 

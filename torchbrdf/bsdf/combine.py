@@ -1,7 +1,8 @@
 """Models made of models: ``a + b`` and ``scale * a``.
 
-A sum adds the lobes; they share one :class:`~torchbrdf.geometry.Geometry`. It samples one of its terms, chosen in proportion to a
-cheap estimate of what each reflects (``strength``), and its pdf is that mixture's. A scaled model multiplies by a colour ``[..., C]`` >= 0.
+A sum adds the lobes, and their directional albedos; they share one :class:`~torchbrdf.geometry.Geometry`. It samples one of its
+terms, chosen in proportion to a cheap estimate of what each reflects (``strength``), and its pdf is that mixture's. A scaled model
+multiplies by a colour ``[..., C]`` >= 0.
 """
 
 import torch
@@ -90,10 +91,12 @@ class Sum(Bsdf):
     def deltas(self, viewer: Viewer) -> list[Delta]:
         return [d._replace(lobe=d.lobe + self._first_lobe(t)) for t in self.terms for d in t.deltas(viewer)]
 
-    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
         """The sum of the terms' albedos."""
-        parts = [t.directional_albedo(w, n, tangent, order=order) for t in self.terms]
-        return sum(parts[1:], parts[0])
+        total = self.terms[0].albedo_at(viewer, order)
+        for t in self.terms[1:]:
+            total = each(torch.add, total, t.albedo_at(viewer, order))
+        return total
 
     def _spread(self) -> list[Bsdf]:
         return [t for t in self.terms if has_spread(t)]
@@ -159,10 +162,9 @@ class Scaled(Bsdf):
     def deltas(self, viewer: Viewer) -> list[Delta]:
         return [d._replace(weight=each(torch.mul, d.weight, viewer.colour(self.factor))) for d in self.inner.deltas(viewer)]
 
-    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
         """``factor`` times the inner albedo."""
-        inner = self.inner.directional_albedo(w, n, tangent, order=order)
-        return (inner * (self.factor.to(inner) if self.factor.dim() == 1 else self.factor)).to(w.dtype)
+        return each(torch.mul, self.inner.albedo_at(viewer, order), viewer.colour(self.factor))
 
 
 def _inside(term: Bsdf, g: Geometry, terms: tuple[Bsdf, ...]) -> Channels:
