@@ -178,11 +178,13 @@ def test_a_tensor_in_two_places_is_stored_once(tmp_path):
 
 
 def test_a_loaded_value_is_no_window_on_its_file(tmp_path):
-    v = tb.Lambert(torch.rand(1000, 3))
-    first = reloaded(tmp_path, v)
-    first.save(tmp_path / "v.safetensors")  # over the file that it came from
-    (tmp_path / "v.safetensors").write_bytes(b"")
+    first = reloaded(tmp_path, v := tb.Lambert(torch.rand(1000, 3)))
+    with (tmp_path / "v.safetensors").open("r+b") as file:
+        file.seek(-4000, os.SEEK_END)
+        file.write(bytes(4000))
     assert equal(first, v)
+    first.save(tmp_path / "v.safetensors")  # over the file that it came from
+    assert equal(tb.load_value(tmp_path / "v.safetensors"), v)
 
 
 def test_load_in_a_fresh_process(tmp_path):
@@ -280,7 +282,7 @@ from torchbrdf.value import COLOUR, param, value
 
 @value
 class Mine(tb.Value):
-    x: object = param(UNIT, COLOUR)
+    albedo: object = param(UNIT, COLOUR)
 
 if __name__ == "__main__":
     Mine(0.25).save("mine")
@@ -290,14 +292,17 @@ if __name__ == "__main__":
 def test_what_a_script_saved_is_found_in_the_module_it_is_elsewhere(tmp_path):
     for name in ("train", "other"):
         (tmp_path / f"{name}.py").write_text(MINE)
+    (tmp_path / "like_ours.py").write_text(MINE.replace("Mine", "Lambert").replace("mine", "like_ours"))
 
     def run(*arguments):
         path = {**os.environ, "PYTHONPATH": os.pathsep.join((str(Path(tb.__file__).parents[1]), str(tmp_path)))}
         return subprocess.run([sys.executable, *arguments], cwd=tmp_path, env=path, capture_output=True, text=True)
 
     assert run("train.py").returncode == 0
+    assert run("like_ours.py").returncode == 0
+    assert "found '__main__.Lambert'" in run("-c", "import torchbrdf as tb; tb.Lambert; tb.load_value('like_ours')").stderr
     load = "import torchbrdf as tb; v = tb.load_value('mine'); print(type(v).__module__, v)"
-    assert run("-c", f"import train; {load}").stdout.startswith("train Mine(x=[0.25])")
+    assert run("-c", f"import train; {load}").stdout.startswith("train Mine(albedo=[0.25])")
     assert "found '__main__.Mine' for a value; import the module that defines it first" in run("-c", load).stderr
     assert "found '__main__.Mine' for a value" in run("-c", f"import train, other; {load}").stderr, "which of the two is not guessed"
 

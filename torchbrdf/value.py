@@ -284,7 +284,7 @@ def _short(x: Any) -> str:
 
 
 def load_value(path: str | Path) -> Value:
-    """Read a value that :meth:`Value.save` wrote. Runs no code from the file, and makes nothing but registered values.
+    """Read a value that :meth:`Value.save` wrote, onto the CPU. The file holds no code, and makes nothing but registered values.
 
     A missing file raises ``FileNotFoundError``, anything else that is wrong with it ``ValueError``, each naming the file.
     Shapes and dtypes are checked, ranges are not (:func:`validate` does that).
