@@ -10,7 +10,20 @@ import torchbrdf
 ROOT = Path(torchbrdf.__file__).parent
 FLOORS = {
     **dict.fromkeys(
-        ("numerics", "vector", "geometry", "interval", "value", "registry", "arguments", "quadrature", "sampling", "io"),
+        (
+            "numerics",
+            "vector",
+            "geometry",
+            "constraint",
+            "interval",
+            "value",
+            "registry",
+            "arguments",
+            "quadrature",
+            "lookup",
+            "sampling",
+            "io",
+        ),
         0,
     ),
     "optics": 1,
