@@ -152,7 +152,8 @@ class Bsdf(Value):
 
         In closed form where there is one; else by a product quadrature of ``order^2`` nodes over the sampler's own unit square, in
         chunks of bounded memory. Its error is that of the kinks inside the hemisphere: below 1e-4 with none, up to 4e-3 where F has a
-        critical angle (order 16: 7e-4 and 1.5e-2).
+        critical angle (order 16: 7e-4 and 1.5e-2), up to 1e-2 within 2 degrees of grazing for a broad lobe whose half vectors are
+        drawn without regard to the viewer, so that half of them face away.
         """
         if not isinstance(order, int) or order < 1:
             raise ValueError(f"order: expected the number of nodes along one side, a whole number >= 1, found {order!r}")

@@ -14,8 +14,8 @@ from .subject import DELTA, Outcome, above, generator, spread, views
 from .words import degrees
 
 ANGLES = (0.0, 45.0, 80.0, 89.0)
-QUADRATURE = 2e-3  # directional_albedo keeps 1e-3 where F has no critical angle, as typical draws have none; twice that
-FINAL = 64  # nodes along a side of the albedo's quadrature, for the figure
+ORDER = 128  # nodes along a side of directional_albedo's quadrature: what is judged is the model, not the default number of nodes
+QUADRATURE = 2e-3  # what they keep, critical angles and grazing included, where half of a sampler's half vectors face away
 
 
 def energy_bound(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
@@ -26,7 +26,7 @@ def energy_bound(subject: Any, rng: torch.Generator, thorough: bool = False) -> 
     bound = subject.energy_bound
     promise = torch.full((1,), torch.inf, dtype=torch.float64) if bound is None else bound.to(torch.float64).clamp_max(1.0)
     where = brightest(subject, torch.where(promise < torch.inf, promise, 0.0), thorough)
-    found = subject.directional_albedo(where, order=FINAL).reshape(-1)
+    found = subject.directional_albedo(where, order=ORDER).reshape(-1)
     excess = torch.where(torch.isfinite(found), found - promise, torch.inf)
     k = int((found if bound is None or bool((excess <= QUADRATURE).all()) else excess).argmax())
     at = f"largest directional albedo, at {degrees(where[0])}"
@@ -44,7 +44,7 @@ def albedo(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcom
     expected, doubt = leaving(subject, w, rng)
     delta = subject.select(DELTA)
     expected = expected if delta is None else expected + delta.directional_albedo(w)
-    error = (subject.directional_albedo(w) - expected).abs().nan_to_num(nan=torch.inf)
+    error = (subject.directional_albedo(w, order=ORDER) - expected).abs().nan_to_num(nan=torch.inf)
     error, k = (error / expected.clamp_min(1.0)).amax(-1).max(0)
     detail = f"largest |directional_albedo - integral of evaluate|, at {degrees(w[k])}"
     wide = float(doubt[k]) > QUADRATURE
