@@ -61,7 +61,10 @@ class Bsdf(Value):
 
     @abstractmethod
     def draw(self, viewer: Viewer, u: Vec) -> Draw:
-        """A direction from uniform numbers ``u`` (x, y, and z to choose among lobes), for a viewer in the local frame; no delta lobe."""
+        """A direction from uniform numbers ``u`` (x, y, and z to choose among lobes), for a viewer in the local frame; no delta lobe.
+
+        (0, 0, 0) where there is none to give: such a sample is lost, and :meth:`density` integrates to that much less than 1.
+        """
 
     def deltas(self, viewer: Viewer) -> list[Delta]:
         """What each delta lobe does; none, unless a model says otherwise."""
