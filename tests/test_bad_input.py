@@ -119,7 +119,7 @@ CASES = {
     # devices and dtypes
     "device of a parameter": (lambda t: shade(bsdf=tb.Lambert(META)), TypeError, r"Lambert.albedo: float32 on meta beside the G-buffer's position: float32 on cpu; convert one with .to"),
     "device of an unbatched parameter": (lambda t: shade(bsdf=tb.Lambert(META[0, 0])), TypeError, r"Lambert.albedo: float32 on meta beside the G-buffer's position"),
-    "device of a light": (lambda t: shade(lights=tb.PointLight(META[0, 0], 1.0)), TypeError, r"PointLight.position: on meta beside a G-buffer on cpu; move one with .to"),
+    "device of a light": (lambda t: shade(lights=tb.PointLight(META[0, 0], 1.0)), TypeError, r"PointLight.position: float32 on meta beside the G-buffer's position: float32 on cpu; convert one with .to"),
     "device of a visibility": (lambda t: shade(visibility=META[None, ..., :1]), TypeError, r"visibility: on meta beside a G-buffer on cpu; convert it with .to"),
     "device of the view": (lambda t: shade(g=g(view=META)), TypeError, r"GBuffer.view: float32 on meta beside position: float32 on cpu; convert one with .to"),
     "dtype of a parameter": (lambda t: shade(bsdf=tb.Lambert(torch.rand(4, 5, 3).double())), TypeError, r"Lambert.albedo: float64 on cpu beside the G-buffer's position: float32 on cpu; convert one with .to"),

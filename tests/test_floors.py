@@ -10,7 +10,7 @@ import torchbrdf
 ROOT = Path(torchbrdf.__file__).parent
 FLOORS = {
     **dict.fromkeys(
-        ("numerics", "vector", "geometry", "interval", "value", "registry", "arguments", "quadrature", "sampling", "files", "saved", "pictures", "raster", "rgbe"),
+        ("numerics", "vector", "geometry", "interval", "value", "registry", "arguments", "parameters", "torch_compat", "quadrature", "sampling", "files", "saved", "pictures", "raster", "rgbe"),
         0,
     ),
     "optics": 1,

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from .. import arguments, numerics, vector
+from .. import arguments, numerics, parameters, vector
 from ..geometry import Channels, Geometry, Layout, Viewer
 from ..optics.fresnel import Fresnel
 from ..value import Value
@@ -182,10 +182,10 @@ class Bsdf(Value):
         """Directions must be tensors ``[..., 3]`` of one dtype and device, that of the parameters, and broadcast with them."""
         found = {name: arguments.floats(v, name, 3) for name, v in given.items() if v is not None or name in ("wi", "wo")}
         first, reference = next(iter(found.items()))
-        check_same_kind(self, reference, first)
+        parameters.check(self, reference, first)
         for name, v in found.items():
             if v.dtype != reference.dtype or v.device != reference.device:
-                raise TypeError(f"{name}: {_kind(v)} beside {first}: {_kind(reference)}; convert one with .to(...)")
+                raise TypeError(f"{name}: {parameters.kind(v)} beside {first}: {parameters.kind(reference)}; convert one with .to(...)")
         shapes = {name: tuple(v.shape[:-1]) for name, v in found.items()} | {"parameters": tuple(self.batch_shape), "u": tuple(u)}
         arguments.broadcast(shapes, "batch shapes")
 
@@ -204,19 +204,6 @@ class Bsdf(Value):
 
 def _widest(v: Value) -> int:
     return max((t.shape[-1] for _, t, s in v.own_tensors() if s.size is None), default=1)
-
-
-def _kind(t: Tensor) -> str:
-    return f"{str(t.dtype).removeprefix('torch.')} on {t.device}"
-
-
-def check_same_kind(v: Value, reference: Tensor, name: str) -> None:
-    """Parameters with batch axes must have the dtype and device of ``reference``; those without follow it."""
-    for field, t, _ in v.own_tensors():
-        if t.dim() > 1 and (t.dtype != reference.dtype or t.device != reference.device):
-            raise TypeError(f"{type(v).__name__}.{field}: {_kind(t)} beside {name}: {_kind(reference)}; convert one with .to(...)")
-    for inner in v.nested():
-        check_same_kind(inner, reference, name)
 
 
 def _unit(layout: Layout, v: Tensor, assume_unit: bool) -> Vec:

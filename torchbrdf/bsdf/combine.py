@@ -7,7 +7,8 @@ cheap estimate of what each reflects (``strength``), and its pdf is that mixture
 import torch
 from torch import Tensor
 
-from ..geometry import Channels, Geometry, Viewer, each
+from .. import arguments, numerics, parameters
+from ..geometry import Channels, Geometry, Layout, Viewer, each
 from ..interval import Interval
 from ..sampling import choose
 from ..value import COLOUR, param, value
@@ -46,7 +47,10 @@ class Sum(Bsdf):
     @property
     def energy_bound(self) -> Tensor | None:
         bounds = [b for t in self.terms if (b := t.energy_bound) is not None]
-        return sum(bounds[1:], bounds[0]) if len(bounds) == len(self.terms) else None
+        if len(bounds) < len(self.terms):
+            return None
+        bounds = parameters.alike(*bounds)
+        return sum(bounds[1:], bounds[0])
 
     def kink_distance(self, g: Geometry) -> Tensor:
         return nearest(*(t.kink_distance(g) for t in self.terms))
@@ -132,7 +136,7 @@ class Scaled(Bsdf):
     @property
     def energy_bound(self) -> Tensor | None:
         bound = self.inner.energy_bound
-        return None if bound is None else bound * self.factor
+        return None if bound is None else torch.mul(*parameters.alike(bound, self.factor))
 
     def kink_distance(self, g: Geometry) -> Tensor:
         return self.inner.kink_distance(g)
@@ -161,8 +165,9 @@ class Scaled(Bsdf):
 
     def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
         """``factor`` times the inner albedo."""
-        inner = self.inner.directional_albedo(w, n, tangent, order=order)
-        return (inner * (self.factor.to(inner) if self.factor.dim() == 1 else self.factor)).to(w.dtype)
+        parameters.check(self, arguments.floats(w, "w", 3), "w")
+        inner = numerics.widen(self.inner.directional_albedo(w, n, tangent, order=order))
+        return (inner * Layout.beside(w).follow(self.factor)).to(w.dtype)
 
 
 def _inside(term: Bsdf, g: Geometry, terms: tuple[Bsdf, ...]) -> Channels:

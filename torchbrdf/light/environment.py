@@ -39,7 +39,8 @@ from typing import Any, NamedTuple, Self
 import torch
 from torch import Tensor
 
-from .. import arguments, numerics, vector
+from .. import arguments, numerics, parameters, vector
+from ..geometry import Layout
 from ..interval import NONNEGATIVE, REAL
 from ..pictures import read_image
 from ..value import COLOUR, VECTOR, param, value
@@ -84,7 +85,7 @@ class EnvironmentMap(Light):
 
     def check(self) -> None:
         """``to_world`` must be a rotation, to the digits that matrices have in text files."""
-        if self.to_world is None or self.to_world.is_meta:
+        if self.to_world is None or arguments.hidden(self.to_world):
             return
         turn = self.to_world.detach().double().cpu()
         away = (turn @ turn.T - torch.eye(3, dtype=turn.dtype)).abs().max()
@@ -118,14 +119,11 @@ class EnvironmentMap(Light):
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance ``[..., C]``, W/(m² sr), arriving from ``directions [..., 3]``, which point to the sky and need not be unit."""
-        if arguments.floats(directions, "directions", 3).device != self.texels.device:
-            raise TypeError(
-                f"EnvironmentMap.texels: on {self.texels.device} beside directions on {directions.device}; move it with .to(...)"
-            )
+        parameters.check(self, arguments.floats(directions, "directions", 3), "directions", batched=False)
         d = vector.normalize_components(vector.components(numerics.widen(directions)))
         usable = vector.dot(d, d) > 0
         u, v = self.coordinates(d)
-        texels = self.texels.to(d.x.dtype)
+        texels = Layout.beside(directions).follow(self.texels, axes=3)
         return vector.stack([torch.where(usable, c, 0.0) for c in bilinear(texels, u, v)]).to(directions.dtype)
 
     def coordinates(self, d: Vec) -> tuple[Tensor, Tensor]:

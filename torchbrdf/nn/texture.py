@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from .. import arguments, numerics, vector
+from ..geometry import Layout
 from ..scene.gbuffer import GBuffer
 from .fields import Stored
 
@@ -37,7 +38,7 @@ class Texture(Stored):
         arguments.of_kind(g, "g", GBuffer, "tb.GBuffer.from_mesh(mesh, camera)")
         if g.uv is None:
             raise ValueError("Texture: this G-buffer has no uv; give the mesh texture coordinates, or use tb.nn.Learned")
-        return self.at(g.uv)
+        return self.at(g.uv).to(g.position.dtype)
 
     @property
     def texels(self) -> Tensor:
@@ -50,7 +51,7 @@ class Texture(Stored):
         return rgb_to_linear_rgb(planes.expand(3, -1, -1))[: len(planes)].movedim(0, -1)
 
     def at(self, uv: Tensor) -> Tensor:
-        """Bilinear look-up ``[..., C]`` at ``uv [..., 2]``.
+        """Bilinear look-up ``[..., C]`` at ``uv [..., 2]``, in its dtype (float32 for half types) and on its device.
 
         Channel by channel: gathers from planes are faster than gathers of whole pixels. By ``lerp``, which never leaves the
         range of the texels, not even by a rounding.
@@ -66,7 +67,8 @@ class Texture(Stored):
             a, b, c, d = (plane.index_select(0, i).reshape(u.shape) for i in corners)
             return torch.lerp(torch.lerp(a, b, fx), torch.lerp(c, d, fx), fy)
 
-        return vector.stack([blend(c.reshape(-1)) for c in self.texels.unbind(-1)])
+        texels = Layout.beside(uv).follow(self.texels, axes=3)
+        return vector.stack([blend(c.reshape(-1)) for c in texels.unbind(-1)])
 
     def _neighbours(self, x: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor]:
         """The texels on either side of ``x`` (in texels, centres at whole numbers), and how far x is on the way."""
