@@ -75,10 +75,9 @@ class Texture(Stored):
         x = torch.nan_to_num(x, 0.0, 0.0, 0.0)
         low = torch.floor(x.detach())
         first = low.long()
-        fraction = (x - low).to(self.raw.dtype)
         if self.wrap == "repeat":
-            return first % n, (first + 1) % n, fraction
-        return first.clamp(0, n - 1), (first + 1).clamp(0, n - 1), fraction
+            return first % n, (first + 1) % n, x - low
+        return first.clamp(0, n - 1), (first + 1).clamp(0, n - 1), x - low
 
     def extra_repr(self) -> str:
         return f"{super().extra_repr()}, wrap {self.wrap}" + (", srgb" if self.srgb else "")
