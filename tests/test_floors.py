@@ -19,6 +19,8 @@ FLOORS = {
             "value",
             "registry",
             "arguments",
+            "parameters",
+            "torch_compat",
             "quadrature",
             "lookup",
             "sampling",

@@ -9,7 +9,7 @@ from test_shade import sheet, three_lights
 from torch import nn
 
 import torchbrdf as tb
-from torchbrdf import compiling
+from torchbrdf import torch_compat
 
 
 def textured(n=6):
@@ -154,7 +154,7 @@ def test_functional_call_and_a_stack_of_shaders():
 
 @pytest.mark.slow
 def test_a_shader_compiles_to_one_full_graph():
-    if not compiling._has_compiler():
+    if not torch_compat.has_cpp_compiler():
         pytest.skip("there is no C++ compiler")
     torch._dynamo.reset()
     made, g = shader()

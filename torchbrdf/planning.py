@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from . import arguments
 from .bsdf.base import Bsdf
 from .bsdf.lobe import Lobe
 from .effects import check, rows
@@ -145,7 +144,7 @@ def plan(
     sources = check.as_list(lights)
     check.check_scene(g, bsdf, sources)
     check.check_mesh(mesh)
-    if not arguments.hidden():
+    if not torch.compiler.is_compiling():
         for checked in (bsdf, *sources):
             validate(checked)
         if isinstance(visibility, Tensor):

@@ -14,9 +14,8 @@ from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
 import torch
 from torch import Tensor
-from torch.utils import _pytree as pytree
 
-from . import arguments
+from . import arguments, torch_compat
 from .constraint import Constraint
 from .io import files, saved
 
@@ -155,7 +154,7 @@ class Value:
 
     def nested(self) -> Iterator["Value"]:
         """The values that this value holds."""
-        for held in map(self.__getattribute__, self._fields):
+        for held in [getattr(self, name) for name in self._fields]:
             yield from (v for v in (held if isinstance(held, tuple | list) else (held,)) if isinstance(v, Value))
 
     @property
@@ -169,13 +168,24 @@ class Value:
         """A copy with some fields changed."""
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
+    def named_tensors(self) -> Iterator[tuple[str, Tensor]]:
+        """(path, tensor) of every tensor here and in what this value holds, such as ``terms[0].albedo``."""
+        for name in self._fields:
+            yield from _tensors_in(getattr(self, name), name)
+
     def map(self, fn: Callable[[Tensor], Tensor]) -> Self:
         """A copy with ``fn`` applied to every tensor."""
-        return pytree.tree_map_only(Tensor, fn, self)
+
+        def mapped(x: Any) -> Any:
+            if isinstance(x, Tensor):
+                return fn(x)
+            return x.map(fn) if isinstance(x, Value) else type(x)(map(mapped, x)) if isinstance(x, tuple | list) else x
+
+        return _rebuild(type(self), {n: mapped(getattr(self, n)) for n in self._fields})
 
     def to(self, *args: Any, **kwargs: Any) -> Self:
         """Like ``Tensor.to``; a floating dtype is applied to floating tensors only."""
-        device, dtype, non_blocking, _ = torch._C._nn._parse_to(*args, **kwargs)
+        device, dtype, non_blocking = arguments.placement(*args, **kwargs)
         if dtype not in (None, *arguments.FLOATS):
             raise TypeError(f"to: expected a floating dtype such as torch.float32, found {dtype}")
         return self.map(lambda t: t.to(device, dtype if t.is_floating_point() else None, non_blocking))
@@ -227,9 +237,19 @@ def _shape_hint(t: Tensor, spec: Param) -> str:
     return f"; did you mean x.unsqueeze(-1) -> {[*t.shape, 1]}?" if spec.event == SCALAR else ""
 
 
+def _tensors_in(held: Any, path: str) -> Iterator[tuple[str, Tensor]]:
+    if isinstance(held, Tensor):
+        yield path, held
+    elif isinstance(held, Value):
+        yield from ((f"{path}.{inner}", t) for inner, t in held.named_tensors())
+    elif isinstance(held, tuple | list):
+        for k, one in enumerate(held):
+            yield from _tensors_in(one, f"{path}[{k}]")
+
+
 def _brief(v: Any) -> str:
     if isinstance(v, Tensor):
-        small = v.numel() <= 4 and v.dim() == 1 and not torch._C._functorch.is_functorch_wrapped_tensor(v) and v.device.type != "meta"
+        small = v.numel() <= 4 and v.dim() == 1 and not arguments.hidden(v)
         kind = str(v.dtype).removeprefix("torch.")
         return str([round(x, 6) for x in v.tolist()]) if small else f"{kind}{list(v.shape)}"
     return f"({', '.join(map(_brief, v))})" if isinstance(v, tuple) else repr(v)
@@ -262,15 +282,12 @@ def value(cls: type[T]) -> type[T]:
     made._fields = tuple(f.name for f in dataclasses.fields(made))
     made._optional = frozenset(f.name for f in dataclasses.fields(made) if f.default is None)
     made._params = {f.name: f.metadata["param"] for f in dataclasses.fields(made) if "param" in f.metadata}
-    pytree.register_pytree_node(
+    torch_compat.register_node(
         made,
         _flatten,
         lambda children, context: _rebuild(made, {**dict(zip(context[0], children, strict=True)), **dict(context[1])}),
-        flatten_with_keys_fn=lambda v: (
-            [(pytree.GetAttrKey(n), getattr(v, n)) for n in _flatten(v)[1][0]],
-            _flatten(v)[1],
-        ),
-        serialized_type_name=_name(made),
+        names=lambda v: _flatten(v)[1][0],
+        saved_as=_name(made),
     )
     VALUES[_name(made)] = made
     return made
@@ -338,7 +355,7 @@ def validate(v: Value, _path: str = "") -> None:
     path = _path or type(v).__name__
     v.check()
     for name, tensor, spec in v.own_tensors():
-        if tensor.numel() and spec.kind == "float" and tensor.device.type != "meta":
+        if tensor.numel() and spec.kind == "float" and not arguments.hidden(tensor):
             wrong = spec.constraint.complaint(tensor.detach())
             if wrong:
                 raise ValueError(f"{path}.{name} {list(tensor.shape)}: {wrong}; {spec.constraint.remedy}")

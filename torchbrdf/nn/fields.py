@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from .. import arguments, vector
 from ..constraint import Constraint
+from ..geometry import Layout
 from ..interval import REAL
 from ..scene.gbuffer import GBuffer
 
@@ -111,7 +112,9 @@ class PerMaterial(Stored):
             raise ValueError("PerMaterial: this G-buffer has no material ids; load a mesh with material= per face, or use tb.nn.Learned")
         ids = g.material.squeeze(-1).clamp_min(0)
         self._check_ids(ids)
-        return vector.stack([column.index_select(0, ids.reshape(-1)).reshape(ids.shape) for column in self.value.unbind(-1)])
+        table = Layout.beside(g.position).follow(self.value, axes=2)
+        found = [column.index_select(0, ids.reshape(-1)).reshape(ids.shape) for column in table.unbind(-1)]
+        return vector.stack(found).to(g.position.dtype)
 
     def _check_ids(self, ids: Tensor) -> None:
         """Where values can be looked at; elsewhere an id beyond the table ends in an index error of torch."""

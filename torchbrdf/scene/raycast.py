@@ -11,6 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .. import torch_compat
+
 if TYPE_CHECKING:
     from .mesh import Mesh
 
@@ -73,15 +75,10 @@ def _single(x: np.ndarray) -> np.ndarray:
 
 def caster_of(mesh: "Mesh") -> RayCaster:
     """The caster of ``mesh``, made when first asked for, and again after its tensors were changed in place."""
-    state = _state(mesh.vertices, mesh.faces)
+    state = torch_compat.changes(mesh.vertices, mesh.faces)  # empty: unknown, so nothing is reused
     kept = _CASTERS.get(mesh)
     if kept is None or not state or kept[0] != state:
         mesh.check()
         kept = (state, RayCaster(mesh.vertices, mesh.faces))
         _CASTERS[mesh] = kept
     return kept[1]
-
-
-def _state(*tensors: Tensor) -> tuple[int, ...]:
-    """Changes when a tensor is changed in place. Empty where torch keeps no count (inference mode): then nothing is reused."""
-    return () if any(t.is_inference() for t in tensors) else tuple(t._version for t in tensors)
