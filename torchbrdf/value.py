@@ -1,13 +1,11 @@
 """Values: frozen dataclasses of tensors that autograd, ``torch.compile``, ``vmap`` and ``functional_call`` see through.
 
-A field declared with :func:`param` states once what it is: its legal range and its trailing size. That one declaration
-serves validation, draws in tests, unconstrained optimisation and the docs table. Numbers and lists become CPU float64
+Fields are declared with :func:`~torchbrdf.declaration.param`, which the decorator ``value`` reads. Numbers and lists become CPU float64
 tensors; taken apart inside a formula they are 0-dimensional, and torch lets those follow the dtype and device of the
 shading points. Parameters with batch axes must match the points themselves.
 """
 
 import dataclasses
-import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
@@ -16,74 +14,13 @@ import torch
 from torch import Tensor
 
 from . import arguments, torch_compat
-from .constraint import Constraint
+from .declaration import COLOUR, PAIR, SCALAR, VECTOR, Param, param
 from .io import files, saved
+
+__all__ = ["COLOUR", "PAIR", "SCALAR", "VALUES", "VECTOR", "Param", "Value", "param", "validate", "value"]
 
 T = TypeVar("T")
 VALUES: dict[str, type["Value"]] = {}
-DEEPEST = 64  # of values in values in a file: far more than any needs; a few hundred would exhaust Python's stack wherever it is used
-
-
-@dataclasses.dataclass(frozen=True)
-class Param:
-    """What :func:`param` declares. ``event`` is the shape of one parameter, the axes behind the batch axes."""
-
-    constraint: Constraint
-    event: tuple[int | str, ...]
-    doc: str = ""
-    kind: str = "float"  # "float", "int" or "bool"
-
-    @property
-    def is_colour(self) -> bool:
-        """Whether the last axis is one of colour channels."""
-        return self.event[-1] == "C"
-
-    @property
-    def shape(self) -> str:
-        """In words, such as ``"[..., 3]"``."""
-        return f"[..., {', '.join(map(str, self.event))}]"
-
-    def batch(self, t: Tensor) -> torch.Size:
-        """The batch axes of a tensor of this parameter."""
-        return t.shape[: t.dim() - len(self.event)]
-
-    def fits(self, t: Tensor) -> bool:
-        """Whether a tensor has the event axes, each of its size, a named one of any size but 0 where it counts colours."""
-        sizes = t.shape[t.dim() - len(self.event) :]
-        return len(sizes) == len(self.event) and all(isinstance(e, str) or e == n for e, n in zip(self.event, sizes, strict=True))
-
-
-SCALAR, PAIR, VECTOR, COLOUR = (1,), (2,), (3,), ("C",)  # the usual shapes of one parameter
-
-
-def param(
-    constraint: Constraint, event: tuple[int | str, ...], doc: str = "", default: Any = dataclasses.MISSING, kind: str = "float"
-) -> Any:
-    """A tensor field ``[..., *event]`` that must lie in ``constraint``.
-
-    A name in ``event`` stands for any size, the same wherever a value says it; but ``"C"``, the channels of a colour, may also be 1.
-    """
-    return dataclasses.field(default=default, metadata={"param": Param(constraint, event, doc, kind)})
-
-
-def _to_tensor(x: Any, where: str, kind: str) -> Tensor:
-    try:
-        t = x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=None if hasattr(x, "dtype") or kind != "float" else torch.float64)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise TypeError(f"{where}: expected a number, list, array or tensor, found {type(x).__name__} ({error})") from None
-    if t.dtype not in _LEGAL[kind]:
-        raise TypeError(f"{where}: expected a tensor of {kind}s, found {t.dtype}; convert it, for example with .to({_EXAMPLE[kind]})")
-    if t.layout != torch.strided:
-        raise TypeError(f"{where}: expected a dense tensor, found one of layout {t.layout}; convert it with .to_dense()")
-    return t.reshape(1) if t.dim() == 0 else t
-
-
-_LEGAL = {
-    "float": arguments.FLOATS,
-    "int": (torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8),
-    "bool": (torch.bool,),
-}
-_EXAMPLE = {"float": "torch.float32", "int": "torch.int64", "bool": "torch.bool"}
 
 
 def has_tensors(x: Any) -> bool:
@@ -108,12 +45,7 @@ class Value:
                 raise TypeError(f"{where}: expected a number, list, array or tensor, found None")
             if raw is None:
                 continue
-            tensor = _to_tensor(raw, where, spec.kind)
-            if not spec.fits(tensor):
-                raise ValueError(f"{where}: expected shape {spec.shape}, found {list(tensor.shape)}{_shape_hint(tensor, spec)}")
-            if spec.is_colour and not tensor.shape[-1]:
-                raise ValueError(f"{where}: expected shape {spec.shape} with one channel at least, found {list(tensor.shape)}")
-            object.__setattr__(self, name, tensor)
+            object.__setattr__(self, name, spec.tensor(raw, where))
         self.check_shapes()
 
     def check_shapes(self) -> None:
@@ -218,7 +150,7 @@ class Value:
         return f"{type(self).__name__}({', '.join(f'{n}={_brief(v)}' for n, v in shown if v is not None)})"
 
     def state(self) -> dict[str, Any]:
-        """Plain dictionaries and tensors, from which :func:`from_state` makes the value again."""
+        """Plain dictionaries and tensors, from which ``load_value`` makes the value again."""
 
         def plain(x: Any) -> Any:
             if isinstance(x, dict):
@@ -228,13 +160,9 @@ class Value:
         return {"value": _name(type(self)), "fields": {n: plain(getattr(self, n)) for n in self._fields}}
 
     def save(self, path: str | Path) -> None:
-        """Write a safetensors file that :func:`load_value` reads: tensors and plain data, by whatever name ``path`` gives it."""
+        """Write a safetensors file that ``load_value`` reads: tensors and plain data, by whatever name ``path`` gives it."""
         files.folder_of(path, "save")
         saved.write(path, self)
-
-
-def _shape_hint(t: Tensor, spec: Param) -> str:
-    return f"; did you mean x.unsqueeze(-1) -> {[*t.shape, 1]}?" if spec.event == SCALAR else ""
 
 
 def _tensors_in(held: Any, path: str) -> Iterator[tuple[str, Tensor]]:
@@ -297,56 +225,6 @@ def _name(cls: type) -> str:
     """What a saved value is known by: ``torchbrdf.Phong``, wherever ours stands in the package; others with their module."""
     ours = cls.__module__.partition(".")[0] == __package__
     return f"{__package__ if ours else cls.__module__}.{cls.__qualname__}"
-
-
-def _known(name: Any) -> type[Value] | None:
-    """The value of that name. Those of the public face are imported when a file first speaks of them; a class that was saved by
-    the script that defined it is found in the module that the script now is, if there is but one of its name."""
-    package, _, last = name.partition(".") if isinstance(name, str) else ("", "", "")
-    if package == __package__ and name not in VALUES:
-        getattr(importlib.import_module(__package__), last, None)
-    if package == "__main__" and name not in VALUES:
-        same = [n for n in VALUES if n.endswith(f".{last}") and not n.startswith(f"{__package__}.")]
-        name = same[0] if len(same) == 1 else name
-    return VALUES.get(name) if package else None
-
-
-def from_state(state: Any, depth: int = 0) -> Value:
-    """The value that :meth:`Value.state` described, each value in it checked (:meth:`Value.check`)."""
-    kind = _known(state.get("value")) if isinstance(state, dict) and isinstance(state.get("fields"), dict) else None
-    if kind is None:
-        found = state.get("value") if isinstance(state, dict) else type(state).__name__
-        raise ValueError(f"found {_short(found)} for a value; import the module that defines it first, if it is your own")
-
-    def build(x: Any, depth: int) -> Any:
-        if depth > DEEPEST:
-            raise ValueError(f"its values and lists are more than {DEEPEST} deep")
-        return from_state(x, depth) if isinstance(x, dict) else tuple(build(v, depth + 1) for v in x) if isinstance(x, list) else x
-
-    try:
-        made = kind(**{n: build(x, depth + 1) for n, x in state["fields"].items()})
-    except TypeError as error:
-        raise ValueError(f"saved {state['value']} does not fit this version: {error}") from None
-    made.check()
-    return made
-
-
-def _short(x: Any) -> str:
-    shown = repr(x) if isinstance(x, str | int | None) else type(x).__name__
-    return shown if len(shown) <= 60 else f"{shown[:60]}..."
-
-
-def load_value(path: str | Path) -> Value:
-    """Read a value that :meth:`Value.save` wrote, onto the CPU. The file holds no code, and makes nothing but registered values.
-
-    A missing file raises ``FileNotFoundError``, anything else that is wrong with it ``ValueError``, each naming the file.
-    Shapes and dtypes are checked, ranges are not (:func:`validate` does that).
-    """
-    path = files.existing(path, "load_value")
-    try:
-        return from_state(saved.read(path))
-    except Exception as error:
-        raise ValueError(f"load_value: {path} is not a saved torchbrdf value: {files.reason(error)}") from None
 
 
 def validate(v: Value, _path: str = "") -> None:
