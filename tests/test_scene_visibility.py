@@ -10,7 +10,7 @@ import trimesh
 from test_scene_gbuffer import spot
 
 import torchbrdf as tb
-from torchbrdf.scene import visibility as module
+from torchbrdf.scene import start as module
 
 
 def Point(*positions):
