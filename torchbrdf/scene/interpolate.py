@@ -25,7 +25,7 @@ class Triangles(NamedTuple):
 
 def triangles(mesh: Mesh, face: Tensor) -> Triangles:
     """The triangles ``face [...]``, in float64."""
-    index = tuple(c.unflatten(0, face.shape) for c in mesh.faces.t().to(torch.int64).index_select(1, face.reshape(-1)).unbind(0))
+    index = gather(mesh.faces.to(torch.int64), face)
     points = mesh.vertices.double()
     a, b, c = (gather_vectors(points, i) for i in index)
     edges = subtract(b, a), subtract(c, a)

@@ -29,7 +29,7 @@ from .gbuffer import GBuffer
 from .interpolate import interpolate, triangles
 from .mesh import Mesh
 from .raycast import NOTHING, RayCaster, caster_of
-from .vertex_normals import gather_vectors
+from .vertex_normals import gather, gather_vectors
 
 POINT_ROUNDINGS = 6
 CAST_ROUNDINGS = 16
@@ -78,7 +78,7 @@ def leave(g: GBuffer, mesh: Mesh, origin: Tensor, direction: Tensor) -> tuple[Te
     the direction, and pixels that are not valid get the direction 0.
     """
     at = starts(g, mesh, caster_of(mesh))
-    point, normal, offset = (t.to(origin.device, torch.float64) for t in at[:3])
+    point, normal, offset = (t.detach().to(origin.device, torch.float64) for t in at[:3])
     off = stack(subtract(components(point), components(origin.detach())))
     origin = origin + numerics.finite_or_zero(off)
     direction = torch.where(at.usable.to(direction.device), direction, 0.0)
@@ -111,12 +111,13 @@ def _known(g: GBuffer, mesh: Mesh) -> Tensor:
     """Where ``g.triangle`` is a face of the mesh, ``[..., 1]``."""
     if g.triangle is None:
         return g.valid.new_zeros(())
-    return (g.triangle >= 0) & (g.triangle < mesh.faces.shape[0])
+    ids = g.triangle.to(torch.int64)
+    return (ids >= 0) & (ids < mesh.faces.shape[0])
 
 
 def _plane(caster: RayCaster, face: Tensor) -> tuple[Vec, Tensor]:
     """Unit normal of the triangles ``face [...]``, and its product with their points (float64)."""
-    x, y, z, at = caster.planes.to(face.device).index_select(1, face.reshape(-1)).unflatten(1, face.shape).unbind(0)
+    x, y, z, at = gather(caster.planes.to(face.device).t(), face)
     return Vec(x, y, z), at
 
 
@@ -125,7 +126,7 @@ def _on_its_triangle(g: GBuffer, mesh: Mesh, caster: RayCaster, given: Start) ->
     known = _known(g, mesh)
     if g.triangle is None or g.position.dtype in numerics.HALF_TYPES:
         return torch.zeros_like(known)
-    normal, at = _plane(caster, g.triangle.squeeze(-1).clamp(0, mesh.faces.shape[0] - 1).to(torch.int64))
+    normal, at = _plane(caster, g.triangle.squeeze(-1).to(torch.int64).clamp(0, mesh.faces.shape[0] - 1))
     above = dot(normal, components(g.position.double())) - at
     return known & (above.abs().unsqueeze(-1) <= given.offset)
 
