@@ -10,32 +10,24 @@ number of ulps), from the size of the numbers involved:
   of that size (moving start and vertex into the frame, edges, their cross product, and its inner product with the offset).
 
 Points further off the plane of their triangle than that (averages over a pixel, half floats), and points that know no triangle, are
-looked for on the mesh. First by triangle and weights, where there are any. Then on the line of sight, both ways, the nearer hit:
-what lies between a point and its viewer cannot be in the way of light, because the viewer sees the point. At last along the
-normal, on surfaces whose outside is on the same side: what stands on the surface turns its own to it. A hit further off than
-:data:`REACH` is another surface, and the point stays where it is.
+looked for on the mesh (:mod:`.near`).
 """
 
-from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from .. import numerics, vector
-from ..vector import Vec, components, dot, stack, subtract
+from ..vector import components, dot, stack, subtract
 from .gbuffer import GBuffer
-from .interpolate import interpolate, triangles
 from .mesh import Mesh
+from .near import own_point, plane_of
 from .raycast import NOTHING, RayCaster, caster_of
-from .vertex_normals import gather, gather_vectors
+from .vertex_normals import gather_vectors
 
 POINT_ROUNDINGS = 6
 CAST_ROUNDINGS = 16
-REACH = 0.01  # of the mesh's half diagonal: about a pixel, where the mesh fills 200
-GRAZING = 0.1  # least cosine that shortens a distance along the ray to one across the surface
-OVERLAP = 0.125  # of the reach: rays start so far behind a point, or rounding would hide a surface that the point lies on
 
 
 class Start(NamedTuple):
@@ -68,7 +60,7 @@ def starts(g: GBuffer, mesh: Mesh, caster: RayCaster) -> Start:
     usable = g.valid & (((x - x) + (y - y) + (z - z)) == 0).unsqueeze(-1)  # finite: infinity - infinity is NaN
     given = Start(g.position, normal, offset_bound(g.position, normal, caster), usable)
     lost = usable & ~_on_its_triangle(g, mesh, caster, given)
-    return _found(g, mesh, caster, given, lost) if bool(lost.any()) else given
+    return _mended(g, mesh, caster, given, lost) if bool(lost.any()) else given
 
 
 def leave(g: GBuffer, mesh: Mesh, origin: Tensor, direction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -115,23 +107,17 @@ def _known(g: GBuffer, mesh: Mesh) -> Tensor:
     return (ids >= 0) & (ids < mesh.faces.shape[0])
 
 
-def _plane(caster: RayCaster, face: Tensor) -> tuple[Vec, Tensor]:
-    """Unit normal of the triangles ``face [...]``, and its product with their points (float64)."""
-    x, y, z, at = gather(caster.planes.to(face.device).t(), face)
-    return Vec(x, y, z), at
-
-
 def _on_its_triangle(g: GBuffer, mesh: Mesh, caster: RayCaster, given: Start) -> Tensor:
     """Where a point lies on the plane of its triangle, up to rounding, ``[..., 1]``. A half float lies on none."""
     known = _known(g, mesh)
     if g.triangle is None or g.position.dtype in numerics.HALF_TYPES:
         return torch.zeros_like(known)
-    normal, at = _plane(caster, g.triangle.squeeze(-1).to(torch.int64).clamp(0, mesh.faces.shape[0] - 1))
+    normal, at = plane_of(caster, g.triangle.squeeze(-1).to(torch.int64).clamp(0, mesh.faces.shape[0] - 1))
     above = dot(normal, components(g.position.double())) - at
     return known & (above.abs().unsqueeze(-1) <= given.offset)
 
 
-def _found(g: GBuffer, mesh: Mesh, caster: RayCaster, given: Start, lost: Tensor) -> Start:
+def _mended(g: GBuffer, mesh: Mesh, caster: RayCaster, given: Start, lost: Tensor) -> Start:
     """The start with its ``lost [..., 1]`` points put on the mesh, where it is near."""
     shape = g.batch_shape
     where = lost.squeeze(-1).expand(shape)
@@ -142,58 +128,11 @@ def _found(g: GBuffer, mesh: Mesh, caster: RayCaster, given: Start, lost: Tensor
     def put(t: Tensor, new: Tensor) -> Tensor:
         return t.double().expand(*shape, t.shape[-1]).masked_scatter(where.unsqueeze(-1), new)
 
-    point, normal = pick(g.position), vector.normalize(pick(g.normal))
-    there, face = point.clone(), torch.full_like(point[:, 0], NOTHING, dtype=torch.int64)
-
-    def ask(found: Callable[..., tuple[Tensor, Tensor]], *given: Tensor) -> None:
-        """Ask one way for the points that no way before it has found."""
-        left = face == NOTHING
-        there[left], face[left] = found(point[left], *(t[left] for t in given), caster)
-
-    if g.triangle is not None and g.barycentric is not None:
-        own = torch.where(_known(g, mesh), g.triangle, NOTHING)
-        ask(partial(_by_weights, mesh), pick(own), pick(g.barycentric))
-    if g.view is not None:
-        ask(_in_sight, vector.normalize(pick(g.view)))
-    ask(_above, normal)
-    towards = normal if g.view is None else pick(g.view)
+    triangle = torch.where(_known(g, mesh), NOTHING if g.triangle is None else g.triangle.to(torch.int64), NOTHING)
+    hints = {"normal": g.normal, "view": g.view} | ({} if g.barycentric is None else {"triangle": triangle, "weights": g.barycentric})
+    there, face = own_point(mesh, caster, pick(g.position), **{name: pick(t) for name, t in hints.items() if t is not None})
     met = (face != NOTHING).unsqueeze(-1)
-    plane = stack(_plane(caster, face.clamp_min(0))[0])
-    normal = torch.where(met, _turned(plane, towards), pick(given.normal))
+    plane = stack(plane_of(caster, face.clamp_min(0))[0])
+    normal = torch.where(met, _turned(plane, pick(g.normal if g.view is None else g.view)), pick(given.normal))
     offset = torch.where(met, offset_bound(there, normal, caster), pick(given.offset))
     return Start(put(g.position, there), put(given.normal, normal), put(given.offset, offset), given.usable)
-
-
-def _by_weights(mesh: Mesh, point: Tensor, triangle: Tensor, weights: Tensor, caster: RayCaster) -> tuple[Tensor, Tensor]:
-    """Where triangle and barycentric weights put each ``point [N, 3]``, and the face ``[N]``; itself, and NOTHING, out of reach."""
-    face = triangle.squeeze(-1).to(torch.int64)
-    whole = weights / weights.sum(-1, keepdim=True)  # rounded ones would leave the plane; those that sum to 0 are near nothing
-    there = stack(interpolate(triangles(mesh, face.clamp_min(0)).corners, components(whole)))
-    near = (face != NOTHING) & (torch.linalg.vector_norm(there - point, dim=-1) <= REACH * caster.scale)
-    return torch.where(near.unsqueeze(-1), there, point), torch.where(near, face, NOTHING)
-
-
-def _in_sight(point: Tensor, view: Tensor, caster: RayCaster) -> tuple[Tensor, Tensor]:
-    """The nearest surface on the line of sight, before or behind each ``point [N, 3]``, and its face ``[N]``."""
-    return _nearest(point, view, caster, lambda plane: torch.ones_like(plane.x, dtype=torch.bool))
-
-
-def _above(point: Tensor, normal: Tensor, caster: RayCaster) -> tuple[Tensor, Tensor]:
-    """The same along the normal, of surfaces whose outside is on its side alone: not what stands on the surface."""
-    return _nearest(point, normal, caster, lambda plane: dot(plane, components(normal)) > 0)
-
-
-def _nearest(point: Tensor, along: Tensor, caster: RayCaster, legal: Callable[[Vec], Tensor]) -> tuple[Tensor, Tensor]:
-    """The nearest legal surface along unit ``along [N, 3]``, either way, and its face ``[N]``; the point, and NOTHING, out of reach."""
-    reach = REACH * caster.scale
-    best, face = torch.full_like(point[:, 0], torch.inf), torch.full_like(point[:, 0], NOTHING, dtype=torch.int64)
-    for sign in (1.0, -1.0):
-        seen = caster.first_hit(point - sign * OVERLAP * reach * along, sign * along)
-        plane, at = _plane(caster, seen.clamp_min(0))
-        cosine = dot(plane, components(along))
-        distance = (at - dot(plane, components(point))) / cosine
-        near = (distance.abs() * cosine.abs().clamp_min(GRAZING) <= reach) & (distance.abs() < best.abs())  # NaN is not near
-        near = near & (seen != NOTHING) & legal(plane)
-        best, face = torch.where(near, distance, best), torch.where(near, seen, face)
-    step = torch.where(face != NOTHING, best, 0.0).unsqueeze(-1)
-    return point + step * along, face
