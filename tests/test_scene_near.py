@@ -145,12 +145,47 @@ def test_a_surface_that_the_mesh_does_not_hold_stays_where_it_is():
 
 
 def test_of_two_sheets_the_nearer_is_found():
-    """Points a little off the upper or the lower of two sheets, seen from above: from within, the lower one is dark."""
-    (big, low), (small, high) = plate(0.0, 2.0), plate(0.01, 2.0)
+    """Points a little off the upper or the lower of two sheets, seen from above: those of the lower one are dark."""
+    (big, low), (small, high) = plate(0.0, 2.0), plate(0.02, 2.0)
     mesh = tb.Mesh(torch.cat([big, small]), torch.cat([low, high + 4]))
-    up = torch.tensor([0.0, 0.0, 1.0]).expand(5, 3)
-    heights = torch.tensor([-0.003, 0.0, 0.003, 0.007, 0.013])
+    up = torch.tensor([0.0, 0.0, 1.0]).expand(6, 3)
+    heights = torch.tensor([-0.003, 0.0, 0.003, 0.009, 0.014, 0.026])
     points = torch.stack([0.1 * heights + 0.3, 0.2 + 0.0 * heights, heights], -1)
-    for view in (None, tb.normalize(torch.tensor([0.3, 0.0, 1.0])).expand(5, 3)):
+    for view in (None, tb.normalize(torch.tensor([0.3, 0.0, 1.0])).expand(6, 3)):
         visible = tb.visibility(tb.GBuffer(points, up, view), Sun(0.2, 0.1, 1.0), mesh)
-        assert visible.flatten().tolist() == [0.0, 0.0, 0.0, 1.0, 1.0]
+        assert visible.flatten().tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("slope", [1.0, 0.06])
+def test_a_sheet_is_found_from_behind_and_at_grazing_views(slope):
+    """Wound away from the viewer, with normals turned to the viewer, as Blender does: the line of sight alone finds it."""
+    v, faces = plate(0.0, 2.0)
+    mesh = tb.Mesh(v, faces.flip(-1))
+    heights = torch.tensor([-0.004, -1e-4, 0.0, 1e-4, 0.004])
+    points = torch.stack([0.1 + 0.0 * heights, 0.2 + 0.0 * heights, heights], -1)
+    tilted = tb.normalize(torch.tensor([0.3, 0.2, 1.0])).expand(5, 3)
+    g = tb.GBuffer(points, tilted, tb.normalize(torch.tensor([1.0, 0.0, slope])).expand(5, 3))
+    start = module.starts(g, mesh, caster_of(mesh))
+    assert start.point[:, 2].abs().max() < 1e-12
+    assert (start.normal == torch.tensor([0.0, 0.0, 1.0])).all()
+    assert tb.visibility(g, Sun(0.2, 0.1, 1.0), mesh).all()
+
+
+def test_what_stands_close_over_a_surface_does_not_draw_its_points():
+    """A sun low in the sky shines under the edge of a box whose floor is not in the mesh."""
+    box = trimesh.creation.box((1.0, 1.0, 1.0))
+    mesh = tb.Mesh(torch.tensor(box.vertices + np.array([0.0, 0.0, 0.508]), dtype=torch.float32), torch.tensor(box.faces))
+    points = torch.tensor([[-0.49, 0.1, 0.0], [-0.3, 0.1, 0.0]])
+    g = tb.GBuffer(points, torch.tensor([0.0, 0.0, 1.0]))
+    assert tb.visibility(g, Sun(-1.0, 0.0, 0.2), mesh).flatten().tolist() == [1.0, 0.0]
+
+
+def test_points_out_of_reach_stay():
+    """Over a plate with a wall on it: a point that hovers sees past the wall, one on the plate does not."""
+    (floor, low), (wall, _) = plate(0.0, 2.0), plate(0.0, 2.0)
+    wall = torch.stack([0.0 * wall[:, 0], wall[:, 0], torch.tensor([0.0, 0.0, 0.03, 0.03])], -1)
+    mesh = tb.Mesh(torch.cat([floor, wall]), torch.cat([low, low + 4]))
+    points = torch.tensor([[-0.02, 0.1, 0.05], [-0.02, 0.1, 0.002]])
+    up = torch.tensor([0.0, 0.0, 1.0])
+    for view in (None, up):
+        assert tb.visibility(tb.GBuffer(points, up, view), Sun(1.0, 0.0, 0.5), mesh).flatten().tolist() == [1.0, 0.0]

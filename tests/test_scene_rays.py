@@ -12,6 +12,7 @@ from torchbrdf.scene.raycast import caster_of
 
 FLOATS = (*FIELDS, "handedness")
 REAL = torch.float64
+FARTHEST = "the largest number of the dtype"
 
 
 def sphere(subdivisions=3, dtype=REAL, scale=1.0):
@@ -85,26 +86,28 @@ def test_derivatives_to_vertices_origin_and_direction():
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, REAL])
-@pytest.mark.parametrize("bad", [0.0, math.nan, math.inf, -math.inf])
-def test_a_ray_that_is_none_meets_nothing_and_has_no_slope(bad, dtype):
+@pytest.mark.parametrize(
+    ("origins", "directions"), [((0.0, 0.0), (0.0, math.nan)), ((math.nan, math.inf), (1.0, 1.0)), ((0.0, FARTHEST), (-math.inf, 1.0))]
+)
+def test_a_ray_that_is_none_meets_nothing_and_has_no_slope(origins, directions, dtype):
+    """The first two of eight rays: of no direction, or from no point (or from so far that float64 cannot square it)."""
     mesh, (origin, direction) = ball(dtype), bundle(8, dtype)
-    vertices = mesh.vertices.clone().requires_grad_()
-    worst = [bad] if bad else []
-    worst += [torch.finfo(dtype).max] if dtype == REAL else []
-    origin[:3, 1], direction[3] = (torch.tensor((worst * 3)[:3]) if worst else origin[:3, 1]), bad
+    vertices = (5.0 * mesh.vertices).requires_grad_()
+    origin = 5.0 * origin
+    for k, (at, along) in enumerate(zip(origins, directions, strict=True)):
+        origin[k, 1] = torch.finfo(dtype).max if at == FARTHEST else at
+        direction[k] = along
     o, d = origin.requires_grad_(), direction.requires_grad_()
     g = tb.GBuffer.from_rays(mesh.replace(vertices=vertices), o, d)
-    first = 0 if worst else 3
-    assert g.mask[:, 0].tolist() == [False] * 0 + [k >= 4 or k < first for k in range(8)] if first else [k >= 4 for k in range(8)]
+    assert g.mask[:, 0].tolist() == [False] * 2 + [True] * 6
     total = sum(getattr(g, name).sum() for name in FLOATS)
     slopes = torch.autograd.grad(total, (o, d, vertices))
     assert torch.isfinite(total)
     assert all(torch.isfinite(s).all() for s in slopes)
-    assert not slopes[0][first:4].any()
-    assert not slopes[1][first:4].any()
-    assert slopes[0][4:].any()
+    assert not slopes[0][:2].any()
+    assert slopes[0][2:].any()
     for name, t, _ in g.own_tensors():
-        assert name == "triangle" or not t[first:4].any(), name
+        assert name in ("triangle", "view") or not t[:2].any(), name
 
 
 def test_a_convex_mirror_sees_nothing_of_itself_and_glass_sees_its_far_side():
@@ -185,6 +188,8 @@ def test_pixels_that_are_none_send_no_ray_and_stored_points_are_mended():
         assert tb.GBuffer.from_rays(mesh, stored, -g.normal).mask[g.mask].all()
     fan = tb.GBuffer.from_rays(mesh, g, torch.randn(5, 1, 1, 3))
     assert fan.position.shape == (5, 64, 64, 3)
+    one = tb.GBuffer(torch.tensor([0.0, 0.0, 3.0]), torch.tensor([0.0, 0.0, 1.0]), mask=torch.tensor([[True], [False]]))
+    assert tb.GBuffer.from_rays(mesh, one, torch.tensor([0.0, 0.0, -1.0])).mask.tolist() == [[True], [False]]
 
 
 def test_what_is_wrong_with_rays_is_named():
@@ -217,7 +222,7 @@ def test_the_caster_notices_every_change_of_the_numbers():
     first = caster_of(mesh)
     assert caster_of(mesh) is first
     assert changed()
-    mesh.vertices.data.mul_(2.0)  # of a ball about 0: the sum of its numbers stays
+    mesh.vertices.data.mul_(2.0)
     assert changed()
     mesh.vertices.data.add_(torch.tensor([0.0, 0.0, 0.5], dtype=REAL))
     assert changed()
@@ -230,3 +235,7 @@ def test_the_caster_notices_every_change_of_the_numbers():
         assert caster_of(mesh) is kept
     mesh.vertices.data = mesh.vertices.data.float()
     assert caster_of(mesh) is not kept
+    mesh, depths = quad(2.0), []
+    assert changed()
+    mesh.vertices.data[:, 2] += torch.tensor([1.0, -1.0, 1.0, -1.0], dtype=REAL)  # the sum of all numbers stays
+    assert changed()

@@ -154,4 +154,4 @@ def test_what_is_wrong_with_triangles_is_named():
     with pytest.raises(TypeError, match=r"camera: expected a Camera"):
         make(mesh, ids, w, 5)
     with pytest.raises(ValueError, match=r"Mesh.faces: legal are 0 to 41"):
-        make(mesh.replace(faces=mesh.faces + 1), ids, w)
+        make(mesh.replace(faces=mesh.faces + 1), ids + mesh.faces.amax(-1).argmax(), w)

@@ -75,7 +75,7 @@ def leave(g: GBuffer, mesh: Mesh, origin: Tensor, direction: Tensor) -> tuple[Te
     origin = origin + numerics.finite_or_zero(off)
     direction = torch.where(at.usable.to(direction.device), direction, 0.0)
     side = torch.sign(dot(components(normal), components(direction.detach()))).unsqueeze(-1)
-    return origin, direction.expand(origin.shape), numerics.finite_or_zero(origin.detach() + side * offset * normal)
+    return origin, direction.expand(origin.shape), origin.detach() + side * offset * normal
 
 
 def _facing_normal(g: GBuffer, mesh: Mesh) -> Tensor:
