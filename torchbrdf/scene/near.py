@@ -21,7 +21,6 @@ from .vertex_normals import gather
 
 REACH = 0.01  # of the mesh's half diagonal: about a pixel, where the mesh fills 200
 GRAZING = 0.1  # least cosine that shortens a distance along the ray to one across the surface
-OVERLAP = 0.125  # of the reach: rays start so far behind a point, or rounding would hide a surface that the point lies on
 
 
 class Found(NamedTuple):
@@ -74,7 +73,7 @@ def _nearest(caster: RayCaster, point: Tensor, along: Tensor, outside: bool = Fa
     reach = REACH * caster.scale
     best, face = torch.full_like(point[:, 0], torch.inf), torch.full_like(point[:, 0], NOTHING, dtype=torch.int64)
     for sign in (1.0, -1.0):
-        seen = caster.first_hit(point - sign * OVERLAP * reach * along, sign * along)
+        seen = caster.first_hit(point, sign * along)
         plane, at = plane_of(caster, seen.clamp_min(0))
         cosine = dot(plane, components(along))
         distance = (at - dot(plane, components(point))) / cosine

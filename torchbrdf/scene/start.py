@@ -99,22 +99,20 @@ def _face_normals(mesh: Mesh, triangle: Tensor) -> Tensor:
     return stack(vector.normalize_components(vector.cross(vector.subtract(b, a), vector.subtract(c, a))))
 
 
-def _known(g: GBuffer, mesh: Mesh) -> Tensor:
-    """Where ``g.triangle`` is a face of the mesh, ``[..., 1]``."""
-    if g.triangle is None:
-        return g.valid.new_zeros(())
-    ids = g.triangle.to(torch.int64)
-    return (ids >= 0) & (ids < mesh.faces.shape[0])
+def _faces_of(mesh: Mesh, triangle: Tensor) -> Tensor:
+    """``triangle [..., 1]`` where it is a face of the mesh, else NOTHING (int64)."""
+    ids = triangle.to(torch.int64)
+    return torch.where((ids >= 0) & (ids < mesh.faces.shape[0]), ids, NOTHING)
 
 
 def _on_its_triangle(g: GBuffer, mesh: Mesh, caster: RayCaster, given: Start) -> Tensor:
     """Where a point lies on the plane of its triangle, up to rounding, ``[..., 1]``. A half float lies on none."""
-    known = _known(g, mesh)
     if g.triangle is None or g.position.dtype in numerics.HALF_TYPES:
-        return torch.zeros_like(known)
-    normal, at = plane_of(caster, g.triangle.squeeze(-1).to(torch.int64).clamp(0, mesh.faces.shape[0] - 1))
+        return torch.zeros_like(given.usable)
+    face = _faces_of(mesh, g.triangle)
+    normal, at = plane_of(caster, face.squeeze(-1).clamp_min(0))
     above = dot(normal, components(g.position.double())) - at
-    return known & (above.abs().unsqueeze(-1) <= given.offset)
+    return (face != NOTHING) & (above.abs().unsqueeze(-1) <= given.offset)
 
 
 def _mended(g: GBuffer, mesh: Mesh, caster: RayCaster, given: Start, lost: Tensor) -> Start:
@@ -128,8 +126,8 @@ def _mended(g: GBuffer, mesh: Mesh, caster: RayCaster, given: Start, lost: Tenso
     def put(t: Tensor, new: Tensor) -> Tensor:
         return t.double().expand(*shape, t.shape[-1]).masked_scatter(where.unsqueeze(-1), new)
 
-    triangle = torch.where(_known(g, mesh), NOTHING if g.triangle is None else g.triangle.to(torch.int64), NOTHING)
-    hints = {"normal": g.normal, "view": g.view} | ({} if g.barycentric is None else {"triangle": triangle, "weights": g.barycentric})
+    triangle = None if g.triangle is None else _faces_of(mesh, g.triangle)
+    hints = {"normal": g.normal, "view": g.view, "triangle": triangle, "weights": g.barycentric}
     there, face = own_point(mesh, caster, pick(g.position), **{name: pick(t) for name, t in hints.items() if t is not None})
     met = (face != NOTHING).unsqueeze(-1)
     plane = stack(plane_of(caster, face.clamp_min(0))[0])
