@@ -12,20 +12,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor
 
 ABSENT = (ImportError, AttributeError, TypeError)  # a name that is gone, or takes other arguments than it did
-
-
-def changes(*tensors: Tensor) -> tuple[int, ...]:
-    """How often each tensor was changed in place.
-
-    Empty where torch does not count (inference mode). Without the private name: empty, too.
-    """
-    try:
-        return () if any(t.is_inference() for t in tensors) else tuple(t._version for t in tensors)
-    except ABSENT:
-        return ()
 
 
 def register_node(

@@ -128,10 +128,10 @@ class Value:
 
     def __getitem__(self, index: Any) -> Self:
         """Index the batch axes, those of nested values along with them; what has no batch axes stays."""
-        batch = self.batch_shape
-        if not batch:
+        batch, where = self.batch_shape, index if isinstance(index, tuple) else (index,)
+        if not batch and any(i is not Ellipsis for i in where):
             raise TypeError(f"{type(self).__name__}: has no batch axes to index or to go through one by one")
-        return self._index(index if isinstance(index, tuple) else (index,), batch)
+        return self._index(where, batch)
 
     def _index(self, index: tuple[Any, ...], batch: torch.Size) -> Self:
         rest = () if any(i is Ellipsis for i in index) else (...,)
