@@ -107,7 +107,7 @@ def parameter_table(cls: type[Any]) -> str:
             rows.append([f"`{field.name}`", kind_of(field), "", "", ""])
             continue
         spec = cls.params()[field.name]
-        shape = f"`[..., {'C' if spec.size is None else spec.size}]` in {spec.constraint}"
+        shape = f"`{spec.shape}` in {spec.constraint}"
         drawn = "" if spec.constraint.typical is None else "{:g} to {:g}".format(*spec.constraint.typical)
         hard = ", ".join(f"{x:.7g}" for x in sorted(set(spec.constraint.extremes())))
         default = "" if field.default is dataclasses.MISSING else f"; default {field.default}"

@@ -118,7 +118,7 @@ MESHES = {
     "inf.obj": (text(TRIANGLE + "v 1e999 0 0\nf 1 2 4\n"), "1 of 3 are NaN or infinite"),
     "beyond_float32.obj": (text(TRIANGLE + "v 1e300 0 0\nf 1 2 4\n"), "1 of 3 are NaN or infinite"),
     "largest_float32.obj": (text(TRIANGLE + "v 3e38 0 0\nv -3e38 0 0\nf 3 4 5\n"), None),
-    "columns.obj": (text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"), r"columns.obj: Mesh.vertices: expected shape \[..., 3\]"),
+    "columns.obj": (text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"), r"columns.obj: Mesh.vertices: expected shape \[..., V, 3\]"),
     "uv_index.obj": (text(TRIANGLE + "vt 0 0\nf 1/1000000000 2/1 3/1\n"), None),
     "uv_nan.obj": (text(TRIANGLE + "vt nan inf\nf 1/1 2/1 3/1\n"), None),
     "normal_nan.obj": (text(TRIANGLE + "vn nan inf 0\nf 1//1 2//1 3//1\n"), None),

@@ -16,6 +16,8 @@ __version__ = "0.1.0"
 _HOME = {
     "geometry": ("Geometry", "Layout", "Viewer"),
     "interval": ("Interval",),
+    "constraint": ("Constraint",),
+    "lookup": ("bilinear",),
     "vector": ("Frame", "normalize", "reflect", "refract", "is_planar", "planar"),
     "value": ("Value", "load_value", "param", "validate"),
     "pictures": ("read_image", "save_image"),

@@ -58,6 +58,10 @@ class Layout(NamedTuple):
         # Not unbind(-1), whose derivative is interleaved memory.
         return (p,) if self.wide else p.movedim(-1, 0).unbind(0) if p.dim() > 1 else p.unbind(0)
 
+    def rows(self, parameter: Tensor, event: int) -> tuple[Tensor, ...]:
+        """A parameter whose last ``event`` axes are one parameter, ``[..., K, *rest]``, as K parameters ``[..., *rest]``."""
+        return parameter.movedim(-event, 0).unbind(0)
+
     def scalar(self, parameter: Tensor) -> Tensor:
         """A parameter ``[..., 1]`` as a number."""
         p = self.follow(parameter)

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from . import arguments, files, saved
-from .interval import Interval
+from .constraint import Constraint
 
 T = TypeVar("T")
 VALUES: dict[str, type["Value"]] = {}
@@ -27,24 +27,41 @@ VALUES: dict[str, type["Value"]] = {}
 class Param:
     """What :func:`param` declares. ``event`` is the shape of one parameter, the axes behind the batch axes."""
 
-    constraint: Interval
+    constraint: Constraint
     event: tuple[int | str, ...]
     doc: str = ""
     kind: str = "float"  # "float", "int" or "bool"
 
     @property
-    def size(self) -> int | None:
-        """The trailing size; None for a colour ``C``."""
-        return None if isinstance(self.event[-1], str) else self.event[-1]
+    def is_colour(self) -> bool:
+        """Whether the last axis is one of colour channels."""
+        return self.event[-1] == "C"
+
+    @property
+    def shape(self) -> str:
+        """In words, such as ``"[..., 3]"``."""
+        return f"[..., {', '.join(map(str, self.event))}]"
+
+    def batch(self, t: Tensor) -> torch.Size:
+        """The batch axes of a tensor of this parameter."""
+        return t.shape[: t.dim() - len(self.event)]
+
+    def fits(self, t: Tensor) -> bool:
+        """Whether a tensor has the event axes, each of its size, a named one of any size but 0 where it counts colours."""
+        sizes = t.shape[t.dim() - len(self.event) :]
+        return len(sizes) == len(self.event) and all(isinstance(e, str) or e == n for e, n in zip(self.event, sizes, strict=True))
 
 
 SCALAR, PAIR, VECTOR, COLOUR = (1,), (2,), (3,), ("C",)  # the usual shapes of one parameter
 
 
 def param(
-    constraint: Interval, event: tuple[int | str, ...], doc: str = "", default: Any = dataclasses.MISSING, kind: str = "float"
+    constraint: Constraint, event: tuple[int | str, ...], doc: str = "", default: Any = dataclasses.MISSING, kind: str = "float"
 ) -> Any:
-    """A tensor field ``[..., *event]`` that must lie in ``constraint``; a name in ``event`` stands for any size, ``COLOUR`` is ``("C",)``."""
+    """A tensor field ``[..., *event]`` that must lie in ``constraint``.
+
+    A name in ``event`` stands for any size, the same wherever a value says it; but ``"C"``, the channels of a colour, may also be 1.
+    """
     return dataclasses.field(default=default, metadata={"param": Param(constraint, event, doc, kind)})
 
 
@@ -91,19 +108,29 @@ class Value:
             if raw is None:
                 continue
             tensor = _to_tensor(raw, where, spec.kind)
-            if spec.size is not None and tensor.shape[-1] != spec.size:
-                raise ValueError(f"{where}: expected shape [..., {spec.size}], found {list(tensor.shape)}{_shape_hint(tensor, spec)}")
-            if not tensor.shape[-1]:
-                raise ValueError(f"{where}: expected shape [..., C] with one channel at least, found {list(tensor.shape)}")
+            if not spec.fits(tensor):
+                raise ValueError(f"{where}: expected shape {spec.shape}, found {list(tensor.shape)}{_shape_hint(tensor, spec)}")
+            if spec.is_colour and not tensor.shape[-1]:
+                raise ValueError(f"{where}: expected shape {spec.shape} with one channel at least, found {list(tensor.shape)}")
             object.__setattr__(self, name, tensor)
         self.check_shapes()
 
     def check_shapes(self) -> None:
-        """Channels must agree (or be 1), and batch axes must broadcast."""
-        channels = {n: t.shape[-1] for n, t, s in self.own_tensors() if s.size is None and t.shape[-1] != 1}
+        """Channels must agree (or be 1), axes of one name must have one size, and batch axes must broadcast."""
+        channels = {n: t.shape[-1] for n, t, s in self.own_tensors() if s.is_colour and t.shape[-1] != 1}
         if len(set(channels.values())) > 1:
             raise ValueError(f"{type(self).__name__}: colour parameters have different numbers of channels: {channels}; use one C, or 1")
-        arguments.broadcast({n: tuple(t.shape[:-1]) for n, t, _ in self.own_tensors()}, f"{type(self).__name__}: batch shapes")
+        self._check_named_axes()
+        arguments.broadcast({n: tuple(s.batch(t)) for n, t, s in self.own_tensors()}, f"{type(self).__name__}: batch shapes")
+
+    def _check_named_axes(self) -> None:
+        first: dict[str, tuple[int, str]] = {}
+        for name, t, spec in self.own_tensors():
+            for axis, size in zip(spec.event, t.shape[-len(spec.event) :], strict=True):
+                if isinstance(axis, str) and axis != "C" and first.setdefault(axis, (size, name))[0] != size:
+                    expected, other = first[axis]
+                    where = f"{type(self).__name__}.{name}"
+                    raise ValueError(f"{where}: expected shape {spec.shape} with {axis} = {expected} as in {other}, found {list(t.shape)}")
 
     def check(self) -> None:
         """Look at values that no range describes, such as a mesh's indices; nothing, unless a value says otherwise."""
@@ -119,6 +146,11 @@ class Value:
             if isinstance(getattr(self, name), Tensor):
                 yield name, getattr(self, name), spec
 
+    @property
+    def own_channels(self) -> int:
+        """C of the value's own colours, nested ones apart; 1 if it has none."""
+        return max((t.shape[-1] for _, t, s in self.own_tensors() if s.is_colour), default=1)
+
     def nested(self) -> Iterator["Value"]:
         """The values that this value holds."""
         for held in map(self.__getattribute__, self._fields):
@@ -126,8 +158,8 @@ class Value:
 
     @property
     def batch_shape(self) -> torch.Size:
-        """Broadcast shape of all batch axes (everything but the trailing axis)."""
-        shapes = {n: t.shape[:-1] for n, t, _ in self.own_tensors()}
+        """Broadcast shape of all batch axes, those before the shape of one parameter."""
+        shapes = {n: s.batch(t) for n, t, s in self.own_tensors()}
         nested = {f"{k} {type(v).__name__}": v.batch_shape for k, v in enumerate(self.nested())}
         return arguments.broadcast(shapes | nested, f"{type(self).__name__}: batch shapes")
 
@@ -152,18 +184,22 @@ class Value:
 
     def __getitem__(self, index: Any) -> Self:
         """Index the batch axes, those of nested values along with them; what has no batch axes stays."""
-        return self._index(index, self.batch_shape)
+        batch = self.batch_shape
+        if not batch:
+            raise TypeError(f"{type(self).__name__}: has no batch axes to index or to go through one by one")
+        return self._index(index if isinstance(index, tuple) else (index,), batch)
 
-    def _index(self, index: Any, batch: torch.Size) -> Self:
-        where = index if isinstance(index, tuple) else (index,)
-        where = (*where, slice(None)) if any(i is Ellipsis for i in where) else (*where, ..., slice(None))
+    def _index(self, index: tuple[Any, ...], batch: torch.Size) -> Self:
+        rest = () if any(i is Ellipsis for i in index) else (...,)
 
-        def pick(x: Any) -> Any:
+        def pick(x: Any, event: int = 1) -> Any:
             if isinstance(x, Tensor):
-                return x.expand(*batch, x.shape[-1])[where] if x.dim() > 1 else x
+                own = x.shape[x.dim() - event :]
+                return x.expand(*batch, *own)[(*index, *rest, *[slice(None)] * event)] if x.dim() > event else x
             return x._index(index, batch) if isinstance(x, Value) else tuple(map(pick, x)) if isinstance(x, tuple) else x
 
-        return _rebuild(type(self), {n: pick(getattr(self, n)) for n in self._fields})
+        specs = self.params()
+        return _rebuild(type(self), {n: pick(getattr(self, n), len(specs[n].event) if n in specs else 1) for n in self._fields})
 
     def __repr__(self) -> str:
         shown = ((n, getattr(self, n)) for n in self._fields)
@@ -184,7 +220,7 @@ class Value:
 
 
 def _shape_hint(t: Tensor, spec: Param) -> str:
-    return f"; did you mean x.unsqueeze(-1) -> {[*t.shape, 1]}?" if spec.size == 1 else ""
+    return f"; did you mean x.unsqueeze(-1) -> {[*t.shape, 1]}?" if spec.event == SCALAR else ""
 
 
 def _brief(v: Any) -> str:
@@ -286,20 +322,8 @@ def validate(v: Value, _path: str = "") -> None:
     v.check()
     for name, tensor, spec in v.own_tensors():
         if tensor.numel() and spec.kind == "float" and tensor.device.type != "meta":
-            _check_range(f"{path}.{name}", tensor.detach(), spec.constraint)
+            wrong = spec.constraint.complaint(tensor.detach())
+            if wrong:
+                raise ValueError(f"{path}.{name} {list(tensor.shape)}: {wrong}; {spec.constraint.remedy}")
     for inner in v.nested():
         validate(inner, f"{path} > {type(inner).__name__}")
-
-
-def _check_range(where: str, t: Tensor, legal: Interval) -> None:
-    low, high = (float(x) for x in torch.aminmax(t))
-    ends = torch.tensor([low, high], dtype=torch.float64)
-    if bool(legal.contains(ends).all()):
-        return
-    bad = ~legal.contains(t)
-    count, first = int(bad.sum()), float(t[bad][0])
-    raise ValueError(
-        f"{where} {list(t.shape)}: legal range {legal}, found {first:g}"
-        + (f" and {count - 1} more" if count > 1 else "")
-        + f" (min {low:g}, max {high:g}); clamp or re-parametrise it (tb.nn.Learned keeps a learned parameter legal)"
-    )

@@ -44,7 +44,7 @@ class Bsdf(Value):
         """As every value; and what it holds (Fresnel terms, other models) must have the same channels, or 1."""
         super().check_shapes()
         held = [v for v in self.nested() if isinstance(v, Bsdf | Fresnel)]
-        counts = [("own parameters", _widest(self)), *((type(v).__name__, v.channels) for v in held)]
+        counts = [("own parameters", self.own_channels), *((type(v).__name__, v.channels) for v in held)]
         if len({c for _, c in counts} - {1}) > 1:
             raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
 
@@ -159,7 +159,7 @@ class Bsdf(Value):
     @property
     def channels(self) -> int:
         """C, the number of colour channels of the result."""
-        return max(_widest(self), *(v.channels for v in self.nested() if isinstance(v, Bsdf | Fresnel)), 1)
+        return max(self.own_channels, *(v.channels for v in self.nested() if isinstance(v, Bsdf | Fresnel)), 1)
 
     def geometry(
         self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, assume_unit: bool = False
@@ -206,18 +206,14 @@ class Bsdf(Value):
     __rmul__ = __mul__
 
 
-def _widest(v: Value) -> int:
-    return max((t.shape[-1] for _, t, s in v.own_tensors() if s.size is None), default=1)
-
-
 def _kind(t: Tensor) -> str:
     return f"{str(t.dtype).removeprefix('torch.')} on {t.device}"
 
 
 def check_same_kind(v: Value, reference: Tensor, name: str) -> None:
     """Parameters with batch axes must have the dtype and device of ``reference``; those without follow it."""
-    for field, t, _ in v.own_tensors():
-        if t.dim() > 1 and (t.dtype != reference.dtype or t.device != reference.device):
+    for field, t, spec in v.own_tensors():
+        if spec.batch(t) and (t.dtype != reference.dtype or t.device != reference.device):
             raise TypeError(f"{type(v).__name__}.{field}: {_kind(t)} beside {name}: {_kind(reference)}; convert one with .to(...)")
     for inner in v.nested():
         check_same_kind(inner, reference, name)

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from .. import arguments, vector
+from ..constraint import ROTATION
 from ..interval import REAL, Interval
 from ..value import PAIR, VECTOR, Value, param, value
 from ..vector import Vec, components, cross, dot, stack
@@ -35,12 +36,10 @@ CONVENTIONS = {"opencv": 1.0, "opengl": -1.0, "blender": -1.0}
 
 @value
 class Camera(Value):
-    """A pinhole camera: ``origin``, unit axes ``right``, ``down``, ``forward``, ``focal`` and ``principal`` in pixels (x, y)."""
+    """A pinhole camera: ``origin``, ``rotation`` (its rows are right, down and forward), ``focal`` and ``principal`` in pixels (x, y)."""
 
     origin: Tensor = param(REAL, VECTOR, "centre of projection, world units")
-    right: Tensor = param(REAL, VECTOR, "unit, along +x of the image")
-    down: Tensor = param(REAL, VECTOR, "unit, along +y of the image")
-    forward: Tensor = param(REAL, VECTOR, "unit, into the scene")
+    rotation: Tensor = param(ROTATION, (3, 3), "world to camera; rows are the axes +x and +y of the image, and into the scene")
     focal: Tensor = param(FOCAL, PAIR, "focal lengths (x, y), pixels")
     principal: Tensor = param(REAL, PAIR, "principal point (x, y), pixels from the top left corner")
     size: tuple[int, int] = (256, 256)
@@ -48,6 +47,21 @@ class Camera(Value):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "size", _image_size(self.size))
+
+    @property
+    def right(self) -> Tensor:
+        """Unit ``[..., 3]``, along +x of the image."""
+        return self.rotation.unbind(-2)[0]
+
+    @property
+    def down(self) -> Tensor:
+        """Unit ``[..., 3]``, along +y of the image."""
+        return self.rotation.unbind(-2)[1]
+
+    @property
+    def forward(self) -> Tensor:
+        """Unit ``[..., 3]``, into the scene."""
+        return self.rotation.unbind(-2)[2]
 
     @staticmethod
     def look_at(eye: Any, target: Any, up: Any, fov_y: Any = 35.0, size: tuple[int, int] = (256, 256)) -> "Camera":
@@ -71,9 +85,8 @@ class Camera(Value):
             )
         focal = (0.5 * height) / torch.tan(angle * (math.pi / 360.0))
         centre = torch.tensor([0.5 * width, 0.5 * height], dtype=eye.dtype, device=eye.device)
-        return Camera(
-            eye, stack(right), stack(cross(forward, right)), stack(forward), focal.expand(*focal.shape[:-1], 2), centre, (height, width)
-        )
+        axes = torch.stack([stack(axis) for axis in (right, cross(forward, right), forward)], -2)
+        return Camera(eye, axes, focal.expand(*focal.shape[:-1], 2), centre, (height, width))
 
     @staticmethod
     def from_matrix(K: Any, world_to_camera: Any, size: tuple[int, int], convention: str = "opencv") -> "Camera":
@@ -91,7 +104,7 @@ class Camera(Value):
         tx, ty, tz = pose[..., :3, 3].unbind(-1)
         origin = vector.combine(tuple(components(-a) for a in (x, y, z)), Vec(tx, ty, tz))
         kx, ky = k[..., 0, :].unbind(-1), k[..., 1, :].unbind(-1)
-        return Camera(stack(origin), x, sign * y, sign * z, stack((kx[0], ky[1])), stack((kx[2], ky[2])), size)
+        return Camera(stack(origin), torch.stack((x, sign * y, sign * z), -2), stack((kx[0], ky[1])), stack((kx[2], ky[2])), size)
 
     def rays(self) -> tuple[Tensor, Tensor]:
         """Origin ``[..., 1, 1, 3]`` and unit directions ``[..., H, W, 3]`` (planar) through the pixel centres."""
@@ -179,10 +192,7 @@ def _check_matrices(k: Tensor, pose: Tensor) -> None:
         raise ValueError(f"from_matrix: K: the focal lengths K[0, 0] and K[1, 1] are pixels > 0, found {found}; turn the axes instead")
     if not _all(k[..., 0, 1] == 0):
         raise ValueError("from_matrix: K has skew (K[0, 1] is not 0), which this camera lacks; undistort the images to square axes")
-    turn = pose[..., :3, :3].detach()
-    unit = turn @ turn.transpose(-1, -2) - torch.eye(3, dtype=turn.dtype, device=turn.device)
-    # Matrices come from text files with about half the digits of float32.
-    if not _all(unit.abs() < math.sqrt(torch.finfo(torch.float32).eps)) or not _all(torch.linalg.det(turn) > 0):
+    if not _all(ROTATION.contains(pose[..., :3, :3].detach())):
         raise ValueError(
             "from_matrix: the upper 3x3 of world_to_camera is not a rotation; take the scale (or the mirroring) out of it, "
             "and pass world-to-camera, not K @ [R|t]"
