@@ -80,7 +80,6 @@ def outcomes() -> dict[str, str]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-@pytest.mark.xdist_group("pages")
 @pytest.mark.parametrize("page", [p.name for p in PAGES if blocks(p)])
 def test_python_blocks_run(page, outcomes):
     assert not outcomes[page], outcomes[page]

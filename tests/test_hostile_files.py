@@ -67,9 +67,6 @@ def cut_files(whole):
             yield cut
 
 
-one_reader = pytest.mark.xdist_group("hostile files")  # of pytest-xdist: the worker that has the files read
-
-
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     """``{group: {file: (outcome, message)}}``, all read by one process."""
@@ -86,19 +83,16 @@ def found(tmp_path_factory):
     shutil.rmtree(folder)
 
 
-@one_reader
 def test_whole_files_are_read(found):
     check(found["whole"])
     assert [p for p, (outcome, _) in found["whole"].items() if outcome != "read"] == []
 
 
-@one_reader
 def test_every_short_file_is_an_error(found):
     check(found["cut"])
     assert [p for p, (outcome, _) in found["cut"].items() if outcome != "refused"] == []
 
 
-@one_reader
 @pytest.mark.parametrize("kind", hostile.KINDS)
 def test_damage_ends_in_a_result_or_one_clear_error(found, kind):
     check(found[kind])
@@ -113,7 +107,6 @@ def test_much_damage(tmp_path, seed):
     check(hostile.outcomes({p: BELIEVED for paths in made.values() for p in paths}, 20, SPACE))
 
 
-@one_reader
 @pytest.mark.parametrize("name", LIES)
 def test_a_lie_is_found_out(found, name):
     ((path, (outcome, message)),) = [(p, f) for p, f in found["lies"].items() if p.name == name]
@@ -123,7 +116,6 @@ def test_a_lie_is_found_out(found, name):
     assert expected is None or re.search(expected, message), message
 
 
-@one_reader
 def test_no_code_ran(found):
     assert not [p for p in found["lies"] if (p.parent / MARKER).exists()]
 
