@@ -14,6 +14,8 @@ import torch
 
 hypothesis.settings.register_profile("the same everywhere", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("the same everywhere")
+
+
 def pytest_configure() -> None:
     """Tensors of tests are small: each worker is quickest on a core of its own."""
     torch.set_num_threads(1)

@@ -1,6 +1,5 @@
 """Shadows: none of a surface's own making, and all that others cast. (With Mitsuba they are compared in test_shade_renderers.)"""
 
-
 import numpy as np
 import pytest
 import torch
