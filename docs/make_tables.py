@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import torchbrdf
+from torchbrdf.bsdf.base import ALBEDO_ORDER
 from torchbrdf.registry import BSDFS, FRESNEL_TERMS, registered
 
 HERE = Path(__file__).resolve().parent
@@ -75,7 +76,7 @@ def albedo_of(cls: type[Any]) -> str:
     if isinstance(cls.lobes, property):
         return "from its parts"
     closed = "albedo_at" in vars(cls) or all(lobe.is_delta for lobe in cls.lobes)
-    return "in closed form" if closed else "by quadrature, 48 x 48 nodes"
+    return "in closed form" if closed else f"by quadrature, {ALBEDO_ORDER} x {ALBEDO_ORDER} nodes"
 
 
 def own_formula(cls: type[Any]) -> str:

@@ -22,11 +22,7 @@ FLOORS = {
             "quadrature",
             "lookup",
             "sampling",
-            "files",
-            "saved",
-            "pictures",
-            "raster",
-            "rgbe",
+            "io",
         ),
         0,
     ),
@@ -37,7 +33,7 @@ FLOORS = {
     **dict.fromkeys(("testing", "measure", "ledger"), 9),  # aside: they use the floors, nothing imports them
 }
 SIBLINGS = {"bsdf", "light", "scene"}  # never import one another
-HEAVY = ("kornia", "trimesh", "OpenEXR", "embreex", "PIL", "matplotlib", "mpmath", "scipy", "tqdm")
+HEAVY = ("kornia", "trimesh", "OpenEXR", "embreex", "PIL", "safetensors", "matplotlib", "mpmath", "scipy", "tqdm")
 
 
 def imports(source: str, package: tuple[str, ...]) -> set[str]:

@@ -8,7 +8,7 @@ from renders import about, cropped, spot, whole_view, within
 from test_scene_visibility import away_from_edges
 
 import torchbrdf as tb
-from torchbrdf.pictures import read_exr
+from torchbrdf.io.exr import read_exr
 
 
 def test_spot_with_shadows_as_mitsuba_renders_it(spot_renders):

@@ -20,7 +20,7 @@ _HOME = {
     "lookup": ("bilinear",),
     "vector": ("Frame", "normalize", "reflect", "refract", "is_planar", "planar"),
     "value": ("Value", "load_value", "param", "validate"),
-    "pictures": ("read_image", "save_image"),
+    "io.pictures": ("read_image", "save_image"),
     "optics.fresnel": ("Fresnel",),
     "bsdf.base": ("Bsdf",),
     "bsdf.lobe": ("BSDFSample", "Lobe"),

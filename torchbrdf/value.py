@@ -16,11 +16,13 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from . import arguments, files, saved
+from . import arguments
 from .constraint import Constraint
+from .io import files, saved
 
 T = TypeVar("T")
 VALUES: dict[str, type["Value"]] = {}
+DEEPEST = 64  # of values in values in a file: far more than any needs; a few hundred would exhaust Python's stack wherever it is used
 
 
 @dataclasses.dataclass(frozen=True)
@@ -209,14 +211,16 @@ class Value:
         """Plain dictionaries and tensors, from which :func:`from_state` makes the value again."""
 
         def plain(x: Any) -> Any:
-            return x.state() if isinstance(x, Value) else [plain(v) for v in x] if isinstance(x, tuple) else x
+            if isinstance(x, dict):
+                raise TypeError(f"{type(self).__name__}: a dictionary cannot be saved; make it a value")
+            return x.state() if isinstance(x, Value) else [plain(v) for v in x] if isinstance(x, tuple | list) else x
 
-        return {"value": type(self).__name__, "fields": {n: plain(getattr(self, n)) for n in self._fields}}
+        return {"value": _name(type(self)), "fields": {n: plain(getattr(self, n)) for n in self._fields}}
 
     def save(self, path: str | Path) -> None:
-        """Write to a file that :func:`load_value` reads (tensors and plain data only; no code)."""
+        """Write a safetensors file that :func:`load_value` reads: tensors and plain data, by whatever name ``path`` gives it."""
         files.folder_of(path, "save")
-        torch.save(self.detach().state(), path)
+        saved.write(path, self)
 
 
 def _shape_hint(t: Tensor, spec: Param) -> str:
@@ -266,33 +270,48 @@ def value(cls: type[T]) -> type[T]:
             [(pytree.GetAttrKey(n), getattr(v, n)) for n in _flatten(v)[1][0]],
             _flatten(v)[1],
         ),
-        serialized_type_name=f"torchbrdf.{cls.__name__}",
+        serialized_type_name=_name(made),
     )
-    VALUES[cls.__name__] = made
+    VALUES[_name(made)] = made
     return made
 
 
+def _name(cls: type) -> str:
+    """What a saved value is known by: ``torchbrdf.Phong``, wherever ours stands in the package; others with their module."""
+    ours = cls.__module__.partition(".")[0] == __package__
+    return f"{__package__ if ours else cls.__module__}.{cls.__qualname__}"
+
+
 def _known(name: Any) -> type[Value] | None:
-    """The value of that name; those of the public face are imported when a file first speaks of them."""
-    if isinstance(name, str) and name not in VALUES:
-        getattr(importlib.import_module(__package__), name, None)
-    return VALUES.get(name) if isinstance(name, str) else None
+    """The value of that name. Those of the public face are imported when a file first speaks of them; a class that was saved by
+    the script that defined it is found in the module that the script now is, if there is but one of its name."""
+    package, _, last = name.partition(".") if isinstance(name, str) else ("", "", "")
+    if package == __package__ and name not in VALUES:
+        getattr(importlib.import_module(__package__), last, None)
+    if package == "__main__" and name not in VALUES:
+        same = [n for n in VALUES if n.endswith(f".{last}") and not n.startswith(f"{__package__}.")]
+        name = same[0] if len(same) == 1 else name
+    return VALUES.get(name) if package else None
 
 
-def from_state(state: Any) -> Value:
-    """The value that :meth:`Value.state` described."""
+def from_state(state: Any, depth: int = 0) -> Value:
+    """The value that :meth:`Value.state` described, each value in it checked (:meth:`Value.check`)."""
     kind = _known(state.get("value")) if isinstance(state, dict) and isinstance(state.get("fields"), dict) else None
     if kind is None:
         found = state.get("value") if isinstance(state, dict) else type(state).__name__
         raise ValueError(f"found {_short(found)} for a value; import the module that defines it first, if it is your own")
 
-    def build(x: Any) -> Any:
-        return from_state(x) if isinstance(x, dict) else tuple(build(v) for v in x) if isinstance(x, list) else x
+    def build(x: Any, depth: int) -> Any:
+        if depth > DEEPEST:
+            raise ValueError(f"its values and lists are more than {DEEPEST} deep")
+        return from_state(x, depth) if isinstance(x, dict) else tuple(build(v, depth + 1) for v in x) if isinstance(x, list) else x
 
     try:
-        return kind(**{str(n): build(x) for n, x in state["fields"].items()})
+        made = kind(**{n: build(x, depth + 1) for n, x in state["fields"].items()})
     except TypeError as error:
         raise ValueError(f"saved {state['value']} does not fit this version: {error}") from None
+    made.check()
+    return made
 
 
 def _short(x: Any) -> str:
@@ -301,16 +320,14 @@ def _short(x: Any) -> str:
 
 
 def load_value(path: str | Path) -> Value:
-    """Read a value that :meth:`Value.save` wrote. Runs no code from the file, and makes nothing but registered values.
+    """Read a value that :meth:`Value.save` wrote, onto the CPU. The file holds no code, and makes nothing but registered values.
 
     A missing file raises ``FileNotFoundError``, anything else that is wrong with it ``ValueError``, each naming the file.
     Shapes and dtypes are checked, ranges are not (:func:`validate` does that).
     """
     path = files.existing(path, "load_value")
     try:
-        loaded = from_state(saved.read(path))
-        loaded.check()
-        return loaded
+        return from_state(saved.read(path))
     except Exception as error:
         raise ValueError(f"load_value: {path} is not a saved torchbrdf value: {files.reason(error)}") from None
 

@@ -44,8 +44,8 @@ from torch import Tensor
 from .. import arguments, numerics, sampling, vector
 from ..constraint import ROTATION
 from ..interval import NONNEGATIVE
+from ..io.pictures import read_image
 from ..lookup import lookup
-from ..pictures import read_image
 from ..value import param, value
 from ..vector import Vec
 from .base import Light, LightKind, LightSample

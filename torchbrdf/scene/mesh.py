@@ -8,8 +8,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from .. import arguments, files
+from .. import arguments
 from ..interval import REAL, Interval
+from ..io import files
 from ..value import Value, param, value
 from .vertex_normals import angle_weighted
 
