@@ -5,8 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from ..bsdf.base import Bsdf
 from ..optics.fresnel import Fresnel
 from ..value import validate
