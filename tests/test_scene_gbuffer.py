@@ -1,12 +1,12 @@
 """G-buffers: against an independent renderer, against re-cast differences, and at the hard cases."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 import torch
 import trimesh
+from renders import spot
 
 import torchbrdf as tb
 from torchbrdf import vector
@@ -27,18 +27,12 @@ def camera(size=(9, 11), **changes):
     return tb.Camera.look_at([0.7, 0.9, 3.0], [0.0, 0.1, 0.0], [0.0, 1.0, 0.0], 45.0, size).replace(**changes)
 
 
-def spot(shared_data):
-    scene = json.loads((shared_data / "spot/scene.json").read_text())
-    view = tb.Camera.look_at(scene["eye"], scene["target"], scene["up"], scene["fov_y_deg"], (scene["res"], scene["res"]))
-    return tb.load_mesh(shared_data / "spot" / scene["mesh"]), view, scene
-
-
-def test_spot_as_mitsuba_sees_it(shared_data):
+def test_spot_as_mitsuba_sees_it(spot_aovs):
     import OpenEXR
 
-    mesh, view, _ = spot(shared_data)
+    mesh, view, _ = spot(spot_aovs)
     g = tb.GBuffer.from_mesh(mesh, view)
-    channels = OpenEXR.File(str(shared_data / "spot/aov.exr"), separate_channels=True).channels()
+    channels = OpenEXR.File(str(spot_aovs / "aov.exr"), separate_channels=True).channels()
 
     def aov(name, parts):
         return torch.from_numpy(np.stack([channels[f"{name}.{p}"].pixels for p in parts], -1).astype(np.float64))

@@ -1,4 +1,4 @@
-"""Shadows: none of a surface's own making, all that others cast, and the agreement with an independent renderer."""
+"""Shadows: none of a surface's own making, and all that others cast. (With Mitsuba they are compared in test_shade_renderers.)"""
 
 import math
 from typing import NamedTuple
@@ -8,7 +8,6 @@ import pytest
 import torch
 import torch.nn.functional as F
 import trimesh
-from test_scene_gbuffer import spot
 
 import torchbrdf as tb
 from torchbrdf.scene import start as module
@@ -141,29 +140,6 @@ def away_from_edges(g, pixels=2, jump=0.02):
         jumps = (a - b).abs() > jump * torch.minimum(a, b)
         edge = edge | F.pad(jumps, (0, 1, 0, 0) if axis else (0, 0, 0, 1)) | F.pad(jumps, (1, 0, 0, 0) if axis else (0, 0, 1, 0))
     return F.max_pool2d(edge.float()[None, None], 2 * pixels + 1, 1, pixels)[0, 0] == 0
-
-
-@pytest.mark.parametrize("number", range(4))
-def test_spot_shadows_as_mitsuba_casts_them(shared_data, number):
-    import OpenEXR
-
-    mesh, view, scene = spot(shared_data)
-    g = tb.GBuffer.from_mesh(mesh, view)
-    light = Point(scene["lights"][number])
-    channels = OpenEXR.File(str(shared_data / f"spot/lambert_{number}.exr"), separate_channels=True).channels()
-    image = torch.from_numpy(channels["R"].pixels.copy())
-    wi, r, _, _ = light.sample(g.position)
-    cosine = (g.normal * wi[0]).sum(-1).clamp_min(0.0)
-    unshadowed = scene["materials"]["lambert"]["albedo"][0] / math.pi * scene["intensity"] * cosine / r[0, ..., 0] ** 2
-    counted = away_from_edges(g) & (unshadowed > 0.02 * unshadowed.max())
-    theirs, ours = image > 0.5 * unshadowed, tb.visibility(g, light, mesh)[0, ..., 0] > 0
-    assert counted.sum() > 5000
-    assert (~theirs & counted).sum() > 50  # there are shadows to agree on
-    assert (theirs == ours)[counted].float().mean() >= 0.997
-    both = counted & theirs & ours
-    relative = ((image - unshadowed) / unshadowed).abs()[both]
-    assert relative.median() <= 0.002
-    assert relative.quantile(0.9) <= 0.01
 
 
 class Draws(NamedTuple):
