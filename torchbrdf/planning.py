@@ -2,7 +2,7 @@
 
 ``shade`` is plan, prepare and run in one call. Deciding happens at construction, from the kinds of lobes, lights and geometry alone and
 never from data inside a graph, so a planned shader compiles to one full graph. A lobe that no effect serves (a mirror under
-point lights) is left out, and its parameters get no gradient.
+point lights) is left out, and its parameters get gradient 0.
 """
 
 import warnings
@@ -95,7 +95,16 @@ class Plan:
                 parts += effect.run(part, surface, rows.rows_of(sources, effect.lights), prepared)
         count = sum(map(len, sources))
         image = rows.apart(parts, surface, channels, count) if per_light else rows.summed(parts, surface, channels)
-        return image.to(g.position.dtype)
+        return self._with_unserved(image, bsdf).to(g.position.dtype)
+
+    def _with_unserved(self, image: Tensor, bsdf: Bsdf) -> Tensor:
+        """The same image, with gradient 0 by parameters of lobes that no effect serves: DistributedDataParallel asks for every gradient."""
+        unserved = [lobe for lobe in self.lobes if not any(e.serves(lobe, kind) for e in self.effects for kind in self.lights)]
+        for part in filter(None, map(bsdf.select, unserved)):
+            for _, t in part.named_tensors():
+                if t.requires_grad:
+                    image = image + t.reshape(-1)[:0].sum()  # of no numbers: exactly 0, whatever t holds
+        return image
 
     def _check_kinds(self, bsdf: Bsdf, lights: Sequence[Light]) -> None:
         """A plan answers for the kinds it was made for; others would be left out without a word."""

@@ -42,6 +42,12 @@ class Stored(Field):
         except (TypeError, ValueError, RuntimeError) as error:
             kind, found = type(self).__name__, type(init).__name__
             raise TypeError(f"{kind}: expected a number, list, array or tensor, found {found} ({error})") from None
+        if isinstance(init, Tensor) and init.requires_grad:
+            kind = type(self).__name__
+            raise TypeError(
+                f"{kind}: expected a start, found a tensor that requires a gradient, which a copy of it could not give; "
+                "pass x.detach(), or give x itself to tb.nn.Material (a texture by tb.bilinear)"
+            )
         if not start.numel() or start.is_complex():
             raise ValueError(f"{type(self).__name__}: expected real numbers, one at least, found {start.dtype} {list(start.shape)}")
         keeps = isinstance(init, Tensor) and init.is_floating_point()  # numbers, lists and arrays take torch's default dtype
@@ -86,6 +92,23 @@ class Constant(Stored):
 
     def forward(self, g: GBuffer) -> Tensor:
         return self.value
+
+
+class Given(Field):
+    """A tensor that somebody else differentiates by, used as it is; an ``nn.Parameter`` is registered. Its owner keeps it legal."""
+
+    def __init__(self, tensor: Tensor) -> None:
+        super().__init__()
+        self.tensor = tensor
+
+    def bind(self, constraint: Constraint, where: str) -> None:
+        """Check the start against the range."""
+        wrong = "" if self.tensor.is_meta else constraint.complaint(self.tensor.detach())
+        if wrong:
+            raise ValueError(f"{where}: {wrong}; {constraint.remedy}")
+
+    def forward(self, g: GBuffer) -> Tensor:
+        return self.tensor
 
 
 class Learned(Stored):
