@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import torchbrdf as tb
-from torchbrdf.pictures import read_exr, write_exr
+from torchbrdf.io.exr import read_exr, write_exr
 
 
 def sphere_camera(size=(64, 96), fov_x=40.0):

@@ -54,7 +54,7 @@ def test_evaluate_is_finite_and_so_are_its_slopes(brdf, wi, wo, n, dtype):
 
 
 @quietly
-@given(materials, vectors, vectors, st.tuples(st.floats(0, 1, exclude_max=True), st.floats(0, 1, exclude_max=True)))
+@given(materials, vectors, vectors, st.tuples(*[st.floats(0, 1, exclude_max=True)] * 3))
 def test_samples_carry_no_more_than_finite_light(brdf, wo, n, u):
     s = brdf.sample(torch.tensor(wo), torch.tensor(u, dtype=torch.float64), torch.tensor(n))
     assert all(bool(torch.isfinite(x).all()) for x in (s.wi, s.weight, s.pdf))

@@ -9,7 +9,7 @@ from test_scene_gbuffer import spot
 from test_scene_visibility import away_from_edges
 
 import torchbrdf as tb
-from torchbrdf.pictures import read_exr
+from torchbrdf.io.exr import read_exr
 
 
 @pytest.mark.parametrize("number", range(4))

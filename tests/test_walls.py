@@ -342,7 +342,9 @@ def test_an_area_light_and_an_effect_that_draws():
     g = plate(3, [0.0, 0.3, 1.0])
     lamp, sun = Square([0.0, 0.0, 2.0], 0.5, [3.0, 1.0]), tb.DirectionalLight([0.0, 0.0, 1.0], 0.5)
     material = tb.Lambert([0.5, 0.8])
-    with pytest.raises(ValueError, match=r"no effect brings light of kind 'area' to the material's diffuse reflection; pass one with effects="):
+    with pytest.raises(
+        ValueError, match=r"no effect brings light of kind 'area' to the material's diffuse reflection; pass one with effects="
+    ):
         tb.plan(g, material, [lamp, sun])
     plan = tb.plan(g, material, [lamp, sun], effects=[AreaSampling(256)])
     assert "area         on   256 samples of each area light" in str(plan)

@@ -26,12 +26,32 @@ def floats(x: Any, name: str, size: int | None = None) -> Tensor:
 
 
 def hidden(*tensors: Tensor) -> bool:
-    """Whether values cannot be looked at: in graphs, in transforms, on the meta device."""
-    return (
-        torch.compiler.is_compiling()
-        or torch._C._functorch.peek_interpreter_stack() is not None
-        or any(t.is_meta or torch._C._functorch.is_functorch_wrapped_tensor(t) for t in tensors)
-    )
+    """Whether values cannot be looked at: in graphs, in transforms that have wrapped them, on the meta device."""
+    return torch.compiler.is_compiling() or any(t.is_meta or _is_wrapped(t) for t in tensors)
+
+
+def _is_wrapped(t: Tensor) -> bool:
+    """Whether a transform (vmap, grad, jvp) stands between ``t`` and its memory."""
+    try:
+        t.untyped_storage()
+    except (NotImplementedError, RuntimeError):
+        return True
+    return False
+
+
+def placement(
+    *args: Any, device: Any = None, dtype: Any = None, non_blocking: bool = False, copy: bool = False, memory_format: Any = None
+) -> tuple[torch.device | None, torch.dtype | None, bool]:
+    """Device, dtype (None: as it is) and ``non_blocking`` of the arguments of ``Tensor.to``."""
+    flags = [arg for arg in args if isinstance(arg, bool)]  # non_blocking, copy
+    for arg in args[: len(args) - len(flags)]:
+        if isinstance(arg, Tensor):
+            device, dtype = arg.device, arg.dtype
+        elif isinstance(arg, torch.dtype):
+            dtype = arg
+        elif arg is not None:
+            device = arg
+    return None if device is None else torch.device(device), dtype, flags[0] if flags else non_blocking
 
 
 def of_kind(x: Any, name: str, kind: type[Any], example: str) -> Any:

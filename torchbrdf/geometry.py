@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from . import numerics, vector
+from . import numerics, parameters, vector
 from .vector import Vec, add, cross, dot, scale, subtract
 
 Channels = tuple[Tensor, ...]
@@ -40,7 +40,7 @@ class Layout(NamedTuple):
     """How colours lie beside numbers ``[...]`` of one dtype and device.
 
     ``wide=False`` takes a colour apart into single channels ``[...]`` (fastest for a few); ``wide=True`` keeps it as one
-    ``[..., C]`` tensor, beside which numbers carry a trailing 1. Parameters without batch axes follow dtype and device.
+    ``[..., C]`` tensor, beside which numbers carry a trailing 1.
     """
 
     wide: bool
@@ -54,18 +54,23 @@ class Layout(NamedTuple):
 
     def colour(self, parameter: Tensor) -> Channels:
         """A parameter ``[..., C]`` as the channels that a formula maps over."""
-        p = self.follow(parameter)
+        p = self.follow(parameter, apart=not self.wide)
         # Not unbind(-1), whose derivative is interleaved memory.
         return (p,) if self.wide else p.movedim(-1, 0).unbind(0) if p.dim() > 1 else p.unbind(0)
 
+    def rows(self, parameter: Tensor, event: int) -> tuple[Tensor, ...]:
+        """A parameter whose last ``event`` axes are one parameter, ``[..., K, *rest]``, as K parameters ``[..., *rest]``."""
+        return parameter.movedim(-event, 0).unbind(0)
+
     def scalar(self, parameter: Tensor) -> Tensor:
         """A parameter ``[..., 1]`` as a number."""
-        p = self.follow(parameter)
+        p = self.follow(parameter, apart=not self.wide)
         return p if self.wide else p.squeeze(-1)
 
     def average(self, parameter: Tensor) -> Tensor:
         """The mean of a colour ``[..., C]`` as a number."""
-        return self.scalar(parameter.mean(-1, keepdim=True))
+        p = self.follow(parameter, apart=not self.wide).mean(-1, keepdim=True)
+        return p if self.wide else p.squeeze(-1)
 
     def mean(self, channels: Channels) -> Tensor:
         """The mean of channels as a number."""
@@ -92,15 +97,9 @@ class Layout(NamedTuple):
         """A number -> ``[..., 1]``."""
         return x if self.wide else x.unsqueeze(-1)
 
-    def follow(self, parameter: Tensor) -> Tensor:
-        """Half types widened; a parameter without batch axes in the points' dtype and on their device.
-
-        From the CPU, taken apart, it stays there: kernels on other devices take numbers from it, which saves a copy.
-        """
-        if parameter.dim() > 1:
-            return numerics.widen(parameter)
-        stays = parameter.device.type == "cpu" and not self.wide
-        return parameter.to(self.dtype) if stays else parameter.to(self.device, self.dtype)
+    def follow(self, parameter: Tensor, axes: int = 1, apart: bool = False) -> Tensor:
+        """A parameter by the rule of :mod:`~torchbrdf.parameters`."""
+        return parameters.follow(parameter, self.dtype, self.device, axes, apart)
 
 
 class Viewer:
@@ -291,7 +290,7 @@ class Geometry:
         return 0.5 * dot(d, d)
 
     def half_across(self, eta: Tensor) -> Vec:
-        """The half vector of refraction, wi + eta wo for ``eta`` = n(side of wo) / n(side of wi), not normalised (Walter et al. 2007, eq. 16)."""
+        """wi + eta wo for ``eta`` = n(side of wo) / n(side of wi): the half vector of refraction, any length (Walter et al. 2007)."""
         return add(self.wi, scale(self.wo, eta))
 
 

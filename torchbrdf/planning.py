@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from . import arguments
 from .bsdf.base import Bsdf
 from .bsdf.lobe import Lobe
 from .effects import check, rows
@@ -145,7 +144,7 @@ def plan(
     sources = check.as_list(lights)
     check.check_scene(g, bsdf, sources)
     check.check_mesh(mesh)
-    if not arguments.hidden():
+    if not torch.compiler.is_compiling():
         for checked in (bsdf, *sources):
             validate(checked)
         if isinstance(visibility, Tensor):
@@ -167,12 +166,13 @@ def shade(
     visibility: Tensor | None = None,
     per_light: bool = False,
     generator: torch.Generator | None = None,
+    tolerance: float | None = None,
     effects: Sequence[Effect] = (),
     **wishes: str,
 ) -> Tensor:
     """Radiance ``[..., H, W, C]`` of a G-buffer: :func:`plan`, prepare and run in one call. ``mesh=`` lets that mesh cast shadows."""
     sources = check.as_list(lights)
-    found = plan(g, bsdf, sources, mesh, visibility=visibility, effects=effects, **wishes)
+    found = plan(g, bsdf, sources, mesh, tolerance, visibility=visibility, effects=effects, **wishes)
     prepared = found.prepare(g, sources, mesh, visibility, generator)
     return found(g, bsdf, sources, prepared, per_light=per_light)
 
@@ -189,7 +189,7 @@ def _each_once(found: Sequence[Any]) -> tuple[Any, ...]:
 def _refuse_unserved(lobes: Sequence[Lobe], kinds: Sequence[LightKind], effects: Sequence[Effect]) -> None:
     """A lobe under a light that no effect brings together would be dark without a word. (Deltas meet deltas with probability 0.)"""
     for kind in kinds:
-        missed = [l.label for l in lobes if not (l.is_delta and kind is LightKind.DELTA) and not any(e.serves(l, kind) for e in effects)]
+        missed = [m.label for m in lobes if not (m.is_delta and kind is LightKind.DELTA) and not any(e.serves(m, kind) for e in effects)]
         if missed and kind is LightKind.INFINITE:
             raise ValueError(
                 f"lights: in this version an EnvironmentMap lights mirror lobes alone, and the material has {', '.join(missed)}; shade the "

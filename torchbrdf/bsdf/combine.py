@@ -1,12 +1,14 @@
 """Models made of models: ``a + b`` and ``scale * a``.
 
-A sum adds the lobes; they share one :class:`~torchbrdf.geometry.Geometry`. It samples one of its terms, chosen in proportion to a
-cheap estimate of what each reflects (``strength``), and its pdf is that mixture's. A scaled model multiplies by a colour ``[..., C]`` >= 0.
+A sum adds the lobes, and their directional albedos; they share one :class:`~torchbrdf.geometry.Geometry`. It samples one of its
+terms, chosen in proportion to a cheap estimate of what each reflects (``strength``), and its pdf is that mixture's. A scaled model
+multiplies by a colour ``[..., C]`` >= 0.
 """
 
 import torch
 from torch import Tensor
 
+from .. import parameters
 from ..geometry import Channels, Geometry, Viewer, each
 from ..interval import Interval
 from ..sampling import choose
@@ -46,7 +48,10 @@ class Sum(Bsdf):
     @property
     def energy_bound(self) -> Tensor | None:
         bounds = [b for t in self.terms if (b := t.energy_bound) is not None]
-        return sum(bounds[1:], bounds[0]) if len(bounds) == len(self.terms) else None
+        if len(bounds) < len(self.terms):
+            return None
+        bounds = parameters.alike(*bounds)
+        return sum(bounds[1:], bounds[0])
 
     def kink_distance(self, g: Geometry) -> Tensor:
         return nearest(*(t.kink_distance(g) for t in self.terms))
@@ -90,10 +95,12 @@ class Sum(Bsdf):
     def deltas(self, viewer: Viewer) -> list[Delta]:
         return [d._replace(lobe=d.lobe + self._first_lobe(t)) for t in self.terms for d in t.deltas(viewer)]
 
-    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
         """The sum of the terms' albedos."""
-        parts = [t.directional_albedo(w, n, tangent, order=order) for t in self.terms]
-        return sum(parts[1:], parts[0])
+        total = self.terms[0].albedo_at(viewer, order)
+        for t in self.terms[1:]:
+            total = each(torch.add, total, t.albedo_at(viewer, order))
+        return total
 
     def _spread(self) -> list[Bsdf]:
         return [t for t in self.terms if has_spread(t)]
@@ -132,7 +139,7 @@ class Scaled(Bsdf):
     @property
     def energy_bound(self) -> Tensor | None:
         bound = self.inner.energy_bound
-        return None if bound is None else bound * self.factor
+        return None if bound is None else torch.mul(*parameters.alike(bound, self.factor))
 
     def kink_distance(self, g: Geometry) -> Tensor:
         return self.inner.kink_distance(g)
@@ -159,10 +166,9 @@ class Scaled(Bsdf):
     def deltas(self, viewer: Viewer) -> list[Delta]:
         return [d._replace(weight=each(torch.mul, d.weight, viewer.colour(self.factor))) for d in self.inner.deltas(viewer)]
 
-    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
         """``factor`` times the inner albedo."""
-        inner = self.inner.directional_albedo(w, n, tangent, order=order)
-        return (inner * (self.factor.to(inner) if self.factor.dim() == 1 else self.factor)).to(w.dtype)
+        return each(torch.mul, self.inner.albedo_at(viewer, order), viewer.colour(self.factor))
 
 
 def _inside(term: Bsdf, g: Geometry, terms: tuple[Bsdf, ...]) -> Channels:

@@ -6,7 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..bsdf.base import Bsdf, check_same_kind
+from .. import arguments, parameters
+from ..bsdf.base import Bsdf
 from ..light.base import Light, LightKind
 from ..scene.gbuffer import GBuffer
 from ..scene.mesh import Mesh
@@ -51,22 +52,15 @@ def check_mesh(mesh: Mesh | None) -> None:
 
 
 def _check_kinds(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
-    """Parameters per pixel have the dtype and device of the pixels; lights follow in dtype, and from the CPU in device too."""
+    """The rule for parameters; the G-buffer's own fields match its positions."""
     at = g.position
     g.require_view()
     for name, t, _ in g.own_tensors():
         if t.device != at.device or (name in ("normal", "view", "tangent") and t.dtype != at.dtype):
-            raise TypeError(f"GBuffer.{name}: {_kind(t)} beside position: {_kind(at)}; convert one with .to(...)")
-    check_same_kind(bsdf, at, "the G-buffer's position")
+            raise TypeError(f"GBuffer.{name}: {parameters.kind(t)} beside position: {parameters.kind(at)}; convert one with .to(...)")
+    parameters.check(bsdf, at, "the G-buffer's position")
     for light in lights:
-        for name, t, _ in light.own_tensors():
-            if t.device != at.device and t.device.type != "cpu":
-                where = f"{type(light).__name__}.{name}"
-                raise TypeError(f"{where}: on {t.device} beside a G-buffer on {at.device}; move one with .to(...)")
-
-
-def _kind(t: Tensor) -> str:
-    return f"{str(t.dtype).removeprefix('torch.')} on {t.device}"
+        parameters.check(light, at, "the G-buffer's position", batched=False)
 
 
 def _expected(found: Any, what: str, example: str) -> str:
@@ -94,7 +88,7 @@ def check_visibility(shadows: Tensor, lights: Sequence[Light], g: GBuffer) -> Te
 
 def check_visible_share(shadows: Tensor) -> None:
     """Visibility is the share of a light that arrives. Looks at values: not for graphs or transforms."""
-    if shadows.is_meta or not shadows.numel() or shadows.dtype == torch.bool or shadows.is_complex():
+    if arguments.hidden(shadows) or not shadows.numel() or shadows.dtype == torch.bool or shadows.is_complex():
         return
     low, high = (float(x) for x in torch.aminmax(shadows.detach()))
     if not (low >= 0 and high <= 1):

@@ -12,7 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from .. import arguments, vector
-from ..interval import REAL, Interval
+from ..constraint import Constraint
+from ..geometry import Layout
+from ..interval import REAL
 from ..scene.gbuffer import GBuffer
 
 
@@ -24,7 +26,7 @@ class Field(nn.Module):
         """The parameter at every pixel of ``g``."""
 
     @abstractmethod
-    def bind(self, constraint: Interval, where: str) -> None:
+    def bind(self, constraint: Constraint, where: str) -> None:
         """Take over the constraint of the parameter ``where`` that this field serves."""
 
 
@@ -45,22 +47,23 @@ class Stored(Field):
         keeps = isinstance(init, Tensor) and init.is_floating_point()  # numbers, lists and arrays take torch's default dtype
         start = start.to(start.dtype if keeps else torch.get_default_dtype(), copy=True)
         start = start.reshape(1) if start.dim() == 0 else start
-        self.constraint, self.learned, self._serves = REAL, learned, ""
+        self.constraint: Constraint = REAL
+        self.learned, self._serves = learned, ""
         if learned:
             self.raw = nn.Parameter(start)
         else:
             self.register_buffer("raw", start)
 
-    def bind(self, constraint: Interval, where: str) -> None:
+    def bind(self, constraint: Constraint, where: str) -> None:
         """Check the start against the range and, where learned, store it unconstrained. May be shared by parameters of one range."""
         if self._serves:
             if str(constraint) != str(self.constraint):
                 served = f"{self._serves}, whose range is {self.constraint}"
                 raise ValueError(f"{where}: its range is {constraint}, but this field already serves {served}; give each its own field")
             return
-        if not self.raw.is_meta and not bool(constraint.contains(self.raw.detach()).all()):
-            found = f"min {self.raw.min():g}, max {self.raw.max():g}"
-            raise ValueError(f"{where}: the field starts outside the legal range {constraint} ({found}); start it inside")
+        wrong = "" if self.raw.is_meta else constraint.complaint(self.raw.detach())
+        if wrong:
+            raise ValueError(f"{where}: the field starts outside: {wrong}; start it inside")
         if self.learned:
             with torch.no_grad():
                 self.raw.copy_(constraint.to_unconstrained(self.raw))
@@ -109,7 +112,9 @@ class PerMaterial(Stored):
             raise ValueError("PerMaterial: this G-buffer has no material ids; load a mesh with material= per face, or use tb.nn.Learned")
         ids = g.material.squeeze(-1).clamp_min(0)
         self._check_ids(ids)
-        return vector.stack([column.index_select(0, ids.reshape(-1)).reshape(ids.shape) for column in self.value.unbind(-1)])
+        table = Layout.beside(g.position).follow(self.value, axes=2)
+        found = [column.index_select(0, ids.reshape(-1)).reshape(ids.shape) for column in table.unbind(-1)]
+        return vector.stack(found).to(g.position.dtype)
 
     def _check_ids(self, ids: Tensor) -> None:
         """Where values can be looked at; elsewhere an id beyond the table ends in an index error of torch."""
@@ -127,7 +132,7 @@ class Channel(Field):
             raise TypeError(f"Channel: expected a field and the number of a channel, found {type(field).__name__} and {i!r}")
         self.field, self.i = field, i
 
-    def bind(self, constraint: Interval, where: str) -> None:
+    def bind(self, constraint: Constraint, where: str) -> None:
         """Binds the whole field: all channels in use must share one range."""
         self.field.bind(constraint, where)
 

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from .. import arguments, vector
-from ..pictures import read_exr, write_exr
+from ..io.exr import read_exr, write_exr
 from .camera import Camera
 from .gbuffer import GBuffer
 from .passes import Pass, group, is_blender, recognise

@@ -12,7 +12,7 @@ from ..quadrature import gauss_legendre
 from .subject import DELTA, Outcome, above, at_angles, spread, transmits
 
 ANGLES = (0.0, 45.0, 80.0, 89.0)
-QUADRATURE = 2e-3  # directional_albedo states an error of 1e-3, from the kink at the horizon; twice that
+QUADRATURE = 2e-3  # directional_albedo keeps 1e-3 where F has no critical angle, as typical draws have none; twice that
 FINEST = 512
 
 

@@ -14,7 +14,7 @@ from ..registry import BSDFS, FRESNEL_TERMS, registered
 from ..value import Param, Value
 from .subject import generator
 
-COLOURS = 3
+COLOURS, ENTRIES = 3, 2
 
 
 def instances(thorough: bool = False, seed: int = 0) -> Iterator[tuple[str, Any]]:
@@ -43,8 +43,9 @@ def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterato
 
 
 def draw(spec: Param, rng: torch.Generator) -> torch.Tensor:
-    """A typical value of a parameter, ``[size]``; colours have three channels."""
-    return spec.constraint.draw((COLOURS if spec.size is None else spec.size,), rng)
+    """A typical value of a parameter, in its event shape; colours have three channels, other named axes two entries."""
+    shape = tuple(n if isinstance(n, int) else COLOURS if n == "C" else ENTRIES for n in spec.event)
+    return spec.constraint.draw(shape, rng)
 
 
 def _combinations(slots: dict[str, list[tuple[str, Any]]], every: bool) -> Iterator[dict[str, tuple[str, Any]]]:

@@ -55,7 +55,7 @@ class Partition(NamedTuple):
 
 
 def sampling_density(bsdf: Bsdf, wi: Tensor, wo: Tensor) -> Tensor:
-    """The density ``[N]`` of all samples, those outside the model's domain, too (where ``pdf`` is 0), at ``wi [N, 3]`` for ``wo [1, 3]``."""
+    """The density ``[N]`` of all samples, outside the model's domain, too (where ``pdf`` is 0), at ``wi [N, 3]`` for ``wo [1, 3]``."""
     return mixture_density(bsdf, bsdf.geometry(wi, wo)).reshape(len(wi))
 
 

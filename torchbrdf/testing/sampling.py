@@ -93,7 +93,7 @@ def _relative(a: Tensor, b: Tensor) -> float:
 
 
 def dark_outside_domain(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
-    """Outside ``domain`` everything is 0: ``evaluate``, ``pdf``, the weights of samples. And nothing crosses without a transmission lobe."""
+    """Outside ``domain`` everything is 0: ``evaluate``, ``pdf``, the weights of samples. Nothing crosses without a transmission lobe."""
     name = "dark_outside_domain"
     if not isinstance(subject, Bsdf):
         return Outcome.absent(name, "not a BSDF")

@@ -25,6 +25,7 @@ class Point:
         wi, wo, n = (unit(v) for v in (c[:3], c[3:6], c[6:9]))
         self.cos_i, self.cos_o = dot(n, wi), dot(n, wo)
         self.lit = positive(self.cos_i) & positive(self.cos_o)
+        self.same_side = positive(self.cos_i * self.cos_o)
         half = added(wi, wo)
         half2 = dot(half, half)
         self.there = positive(half2)
@@ -34,9 +35,6 @@ class Point:
         self.cos_h2 = where(self.there, 1 - dot(side, side) / where(self.there, half2, 1), 0)
         d = added(scaled(n, 2 * self.cos_o), scaled(half, -1))
         self.m = dot(d, d) / 2
-
-    def above(self, f: Any) -> Any:
-        return where(self.lit, f, 0)
 
 
 def phong(p: Point, specular, exponent, normalization="modified"):
@@ -107,9 +105,14 @@ def lobe_edge(x: Columns) -> Any:
 
 
 def model(
-    name: str, parameters: dict[str, Callable[[Draw], np.ndarray]], make: Callable[..., Any], truth: Callable[..., Any], **more: Any
+    name: str,
+    parameters: dict[str, Callable[[Draw], np.ndarray]],
+    make: Callable[..., Any],
+    truth: Callable[..., Any],
+    domain: str = "lit",
+    **more: Any,
 ) -> Case:
-    """A case of ``make(*parameters).evaluate(wi, wo, n)``."""
+    """A case of ``make(*parameters).evaluate(wi, wo, n)``, which is 0 outside a domain of :class:`Point`."""
 
     def call(*c):
         wi, wo, n = (torch.stack(c[k : k + 3], -1) for k in (0, 3, 6))
@@ -117,7 +120,7 @@ def model(
 
     def exact(*c):
         p = Point(c)
-        return (p.above(truth(p, *c[9:])),)
+        return (where(getattr(p, domain), truth(p, *c[9:]), 0),)
 
     return Case(
         name,
@@ -227,6 +230,15 @@ CASES = (
         lambda a, s: 2.0**20 * (2.0**-40 * (tb.Lambert(a) + tb.Phong(a, s, normalization="bound"))),
         lambda p, a, s: (a / pi() + phong(p, a, s, "bound")) * 2.0**-20,
         covers=("Sum", "Scaled"),
+        kinks={"edge of the lobe": lobe_edge},
+    ),
+    model(
+        "TwoSided, Phong",
+        {"specular": unit_interval, "exponent": exponent},
+        lambda k, s: tb.TwoSided(tb.Phong(k, s)),
+        phong,
+        domain="same_side",
+        covers=("TwoSided",),
         kinks={"edge of the lobe": lobe_edge},
     ),
     MIRROR,
