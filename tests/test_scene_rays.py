@@ -62,7 +62,7 @@ def test_shapes_broadcast_and_the_dtype_is_that_of_the_vertices(dtype):
         assert all(t.dtype == dtype for _, t, s in again.own_tensors() if s.kind == "float")
         torch.testing.assert_close(again.position, whole.position, rtol=1e-6, atol=1e-6)
     assert tb.GBuffer.from_rays(mesh, origin[0], direction[0]).position.shape == (3,)
-    assert tb.GBuffer.from_rays(mesh, origin[0], direction[0])[...].triangle.tolist() == whole.triangle[0].tolist()
+    assert tb.GBuffer.from_rays(mesh, origin[0], direction[0]).triangle.tolist() == whole.triangle[0].tolist()
     fan = tb.GBuffer.from_rays(mesh, origin[:5, None], direction[None, :7])
     assert fan.view.shape == fan.position.shape == (5, 7, 3)
     assert fan.mask.shape == (5, 7, 1)

@@ -19,7 +19,6 @@ from torchbrdf.testing.subject import generator
 from torchbrdf.value import COLOUR, Value, param, value
 
 PACKAGE = Path(tb.__file__).parent
-UP = torch.tensor([[0.0, 0.0, 1.0]])
 
 
 def private_names(source: str) -> list[str]:
