@@ -174,10 +174,11 @@ class Viewer:
 
     @memo
     def facing(self) -> "Viewer":
-        """The same viewer of the surface turned to it; in the local frame, both mirrored at the surface."""
+        """The same viewer of the surface turned to it; in the local frame, both mirrored at the surface. Tangent and bitangent stay."""
         if self.is_local:
             return Viewer(Vec(self.wo.x, self.wo.y, self.wo.z * self.side), layout=self.layout)
-        return Viewer(self.wo, scale(self.n, self.side), self.tangent, self.handedness, self.layout)
+        handedness = self.side if self.handedness is None else self.handedness * self.side
+        return Viewer(self.wo, scale(self.n, self.side), self.tangent, handedness, self.layout)
 
 
 class Geometry:
