@@ -286,7 +286,7 @@ class Geometry:
         return 0.5 * dot(d, d)
 
     def half_across(self, eta: Tensor) -> Vec:
-        """The half vector of refraction, wi + eta wo for ``eta`` = n(side of wo) / n(side of wi), not normalised (Walter et al. 2007, eq. 16)."""
+        """The half vector of refraction, wi + eta wo for ``eta`` = n(side of wo) / n(side of wi), not unit (Walter et al. 2007, eq. 16)."""
         return add(self.wi, scale(self.wo, eta))
 
 

@@ -43,7 +43,7 @@ class Bsdf(Value):
     def check_shapes(self) -> None:
         """As every value; and what it holds (Fresnel terms, other models) must have the same channels, or 1."""
         super().check_shapes()
-        held = [v for v in self.nested() if isinstance(v, Bsdf | Fresnel)]
+        held = [v for v in self.nested() if isinstance(v, (Bsdf, Fresnel))]
         counts = [("own parameters", _widest(self)), *((type(v).__name__, v.channels) for v in held)]
         if len({c for _, c in counts} - {1}) > 1:
             raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
@@ -155,7 +155,7 @@ class Bsdf(Value):
     @property
     def channels(self) -> int:
         """C, the number of colour channels of the result."""
-        return max(_widest(self), *(v.channels for v in self.nested() if isinstance(v, Bsdf | Fresnel)), 1)
+        return max(_widest(self), *(v.channels for v in self.nested() if isinstance(v, (Bsdf, Fresnel))), 1)
 
     def geometry(
         self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, assume_unit: bool = False
