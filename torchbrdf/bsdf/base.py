@@ -203,7 +203,7 @@ class Bsdf(Value):
 
 
 def _widest(v: Value) -> int:
-    return max((t.shape[-1] for _, t, s in v.own_tensors() if s.size is None), default=1)
+    return max([1, *(t.shape[-1] for _, t, s in v.own_tensors() if s.size is None)])
 
 
 def _unit(layout: Layout, v: Tensor, assume_unit: bool) -> Vec:

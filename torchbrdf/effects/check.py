@@ -97,4 +97,5 @@ def check_visible_share(shadows: Tensor) -> None:
 
 def expands_to(shape: torch.Size, full: torch.Size) -> bool:
     """Whether a shape broadcasts to ``full`` without changing it."""
-    return len(shape) <= len(full) and all(a in (1, b) for a, b in zip(reversed(shape), reversed(full), strict=False))
+    extra = len(full) - len(shape)
+    return extra >= 0 and not [a for a, b in zip(shape, full[extra:], strict=True) if a not in (1, b)]

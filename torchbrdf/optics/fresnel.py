@@ -188,7 +188,7 @@ class Fresnel(Value):
     @property
     def channels(self) -> int:
         """C, the number of colour channels of the result."""
-        return max((t.shape[-1] for _, t, s in self.own_tensors() if s.size is None), default=1)
+        return max([1, *(t.shape[-1] for _, t, s in self.own_tensors() if s.size is None)])
 
     def reflectance(self, cos_i: Tensor) -> Tensor:
         """Reflectance ``[..., C]`` at ``cos_i [..., 1]``."""
