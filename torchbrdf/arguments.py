@@ -41,9 +41,9 @@ def _is_wrapped(t: Tensor) -> bool:
 
 def placement(
     *args: Any, device: Any = None, dtype: Any = None, non_blocking: bool = False, copy: bool = False, memory_format: Any = None
-) -> tuple[torch.device | None, torch.dtype | None, bool]:
-    """Device, dtype (None: as it is) and ``non_blocking`` of the arguments of ``Tensor.to``."""
-    flags = [arg for arg in args if isinstance(arg, bool)]  # non_blocking, copy
+) -> tuple[torch.device | None, torch.dtype | None, bool, bool]:
+    """Device, dtype (None: as it is), ``non_blocking`` and ``copy`` of the arguments of ``Tensor.to``, in whatever form it takes them."""
+    flags = [arg for arg in args if isinstance(arg, bool)]
     for arg in args[: len(args) - len(flags)]:
         if isinstance(arg, Tensor):
             device, dtype = arg.device, arg.dtype
@@ -51,7 +51,8 @@ def placement(
             dtype = arg
         elif arg is not None:
             device = arg
-    return None if device is None else torch.device(device), dtype, flags[0] if flags else non_blocking
+    non_blocking, copy = (*flags, *(non_blocking, copy)[len(flags) :])
+    return None if device is None else torch.device(device), dtype, non_blocking, copy
 
 
 def of_kind(x: Any, name: str, kind: type[Any], example: str) -> Any:

@@ -18,7 +18,7 @@ Channels = tuple[Tensor, ...]
 
 def each(formula: Callable[..., Tensor], *colours: Sequence[Tensor]) -> Channels:
     """Map a formula over channels; a colour with a single channel serves them all."""
-    count = max(map(len, colours))
+    count = max([len(c) for c in colours])
     if any(len(c) not in (1, count) for c in colours):
         raise ValueError(f"colours have different numbers of channels: {[len(c) for c in colours]}; use one C, or 1")
     return tuple(formula(*(c[k] if len(c) > 1 else c[0] for c in colours)) for k in range(count))

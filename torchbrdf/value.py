@@ -25,7 +25,7 @@ VALUES: dict[str, type["Value"]] = {}
 
 def has_tensors(x: Any) -> bool:
     """Whether x is, or holds, tensors: such fields are pytree children, all others are static context."""
-    return isinstance(x, Tensor | Value) or (isinstance(x, tuple | list) and any(has_tensors(v) for v in x))
+    return isinstance(x, (Tensor, Value)) or (isinstance(x, (tuple, list)) and any(has_tensors(v) for v in x))
 
 
 class Value:
@@ -82,12 +82,12 @@ class Value:
     @property
     def own_channels(self) -> int:
         """C of the value's own colours, nested ones apart; 1 if it has none."""
-        return max((t.shape[-1] for _, t, s in self.own_tensors() if s.is_colour), default=1)
+        return max([1, *(t.shape[-1] for _, t, s in self.own_tensors() if s.is_colour)])
 
     def nested(self) -> Iterator["Value"]:
         """The values that this value holds."""
         for held in [getattr(self, name) for name in self._fields]:
-            yield from (v for v in (held if isinstance(held, tuple | list) else (held,)) if isinstance(v, Value))
+            yield from (v for v in (held if isinstance(held, (tuple, list)) else (held,)) if isinstance(v, Value))
 
     @property
     def batch_shape(self) -> torch.Size:
@@ -111,16 +111,16 @@ class Value:
         def mapped(x: Any) -> Any:
             if isinstance(x, Tensor):
                 return fn(x)
-            return x.map(fn) if isinstance(x, Value) else type(x)(map(mapped, x)) if isinstance(x, tuple | list) else x
+            return x.map(fn) if isinstance(x, Value) else type(x)(map(mapped, x)) if isinstance(x, (tuple, list)) else x
 
         return _rebuild(type(self), {n: mapped(getattr(self, n)) for n in self._fields})
 
     def to(self, *args: Any, **kwargs: Any) -> Self:
         """Like ``Tensor.to``; a floating dtype is applied to floating tensors only."""
-        device, dtype, non_blocking = arguments.placement(*args, **kwargs)
+        device, dtype, non_blocking, copy = arguments.placement(*args, **kwargs)
         if dtype not in (None, *arguments.FLOATS):
             raise TypeError(f"to: expected a floating dtype such as torch.float32, found {dtype}")
-        return self.map(lambda t: t.to(device, dtype if t.is_floating_point() else None, non_blocking))
+        return self.map(lambda t: t.to(device, dtype if t.is_floating_point() else None, non_blocking, copy))
 
     def detach(self) -> Self:
         """A copy without gradient history."""

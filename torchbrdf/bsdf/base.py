@@ -44,7 +44,7 @@ class Bsdf(Value):
     def check_shapes(self) -> None:
         """As every value; and what it holds (Fresnel terms, other models) must have the same channels, or 1."""
         super().check_shapes()
-        held = [v for v in self.nested() if isinstance(v, Bsdf | Fresnel)]
+        held = [v for v in self.nested() if isinstance(v, (Bsdf, Fresnel))]
         counts = [("own parameters", self.own_channels), *((type(v).__name__, v.channels) for v in held)]
         if len({c for _, c in counts} - {1}) > 1:
             raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
@@ -162,7 +162,7 @@ class Bsdf(Value):
     @property
     def channels(self) -> int:
         """C, the number of colour channels of the result."""
-        return max(self.own_channels, *(v.channels for v in self.nested() if isinstance(v, Bsdf | Fresnel)), 1)
+        return max(self.own_channels, *(v.channels for v in self.nested() if isinstance(v, (Bsdf, Fresnel))), 1)
 
     def geometry(
         self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, assume_unit: bool = False

@@ -29,7 +29,7 @@ class Sum(Bsdf):
     terms: tuple[Bsdf, ...]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.terms, tuple | list):
+        if not isinstance(self.terms, (tuple, list)):
             raise TypeError(f"Sum.terms: expected one BSDF or more, found {type(self.terms).__name__}")
         if not self.terms or not all(isinstance(t, Bsdf) for t in self.terms):
             raise TypeError(f"Sum.terms: expected one BSDF or more, found {[type(t).__name__ for t in self.terms]}")

@@ -42,12 +42,12 @@ def check_scene(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int:
     counts = {"bsdf": bsdf.channels, **{f"lights[{k}]": light.channels for k, light in enumerate(lights)}}
     if len(set(counts.values()) - {1}) > 1:
         raise ValueError(f"bsdf and lights have different numbers of colour channels: {counts}; use one C, or 1")
-    return max(counts.values())
+    return max(list(counts.values()))
 
 
 def check_mesh(mesh: Mesh | None) -> None:
     """What casts shadows must be a mesh (its values are looked at when the first ray is cast)."""
-    if not isinstance(mesh, Mesh | None):
+    if mesh is not None and not isinstance(mesh, Mesh):
         raise TypeError(f"mesh: {_expected(mesh, 'a mesh', 'tb.load_mesh(path)')}")
 
 
@@ -97,4 +97,5 @@ def check_visible_share(shadows: Tensor) -> None:
 
 def expands_to(shape: torch.Size, full: torch.Size) -> bool:
     """Whether a shape broadcasts to ``full`` without changing it."""
-    return len(shape) <= len(full) and all(a in (1, b) for a, b in zip(reversed(shape), reversed(full), strict=False))
+    extra = len(full) - len(shape)
+    return extra >= 0 and not [a for a, b in zip(shape, full[extra:], strict=True) if a not in (1, b)]
