@@ -33,13 +33,18 @@ TOGETHER = [
 ]
 
 
+def scope_of(nodeid: str) -> str:
+    """What runs in one worker: the same for all tests of a group, else the test's own."""
+    return next((group.pattern for group in TOGETHER if group.search(nodeid)), nodeid)
+
+
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Of pytest-xdist, unless ``--dist`` asks for another one. (Its own groups, by marker, do nothing under pytest 9.2.)"""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduler(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return next((group.pattern for group in TOGETHER if group.search(nodeid)), nodeid)
+            return scope_of(nodeid)
 
     return Scheduler(config, log) if config.getvalue("dist") == "loadscope" else None
 

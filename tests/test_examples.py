@@ -39,7 +39,8 @@ def assert_written(folder, textures=()):
     return record
 
 
-def test_a_quick_run_writes_its_files(example, tmp_path, capsys):
+def test_a_quick_run_writes_its_files(example, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(part("builtin"), "TEXELS", 6)
     problem = part("builtin").build(seed=1, size=28)
     rows = example.recover(problem, "glossy", part("builtin").TEXELS, 3, tmp_path / "out")
     record = assert_written(tmp_path / "out", ["terms.0.albedo"])
