@@ -89,6 +89,19 @@ def test_the_horizontal_field_of_view():
         tb.Camera.look_at(EYE, TARGET, UP, fov_x=200.0)
 
 
+@pytest.mark.parametrize(
+    ("given", "found"), [(torch.float32, torch.float32), (torch.float64, torch.float64), (torch.bfloat16, torch.float32)]
+)
+def test_a_camera_has_the_dtype_of_the_tensors_it_was_made_of(given, found):
+    for arguments in ((torch.tensor(EYE, dtype=given), TARGET), (EYE, torch.tensor(TARGET, dtype=given))):
+        camera = tb.Camera.look_at(*arguments, UP, 35.0, (3, 4))
+        assert {t.dtype for _, t, _ in camera.own_tensors()} == {found}
+        assert camera.rays()[1].dtype == found
+        off = camera.rotation @ camera.rotation.T - torch.eye(3, dtype=found)
+        assert off.abs().max() < 8 * torch.finfo(found).eps
+    assert look().rotation.dtype == torch.float64, "numbers alone"
+
+
 def test_an_angle_in_radians_is_noticed():
     with pytest.warns(UserWarning, match=r"fov_y: found \[0.61\], in degrees a very narrow view; radians\? pass math.degrees"):
         tb.Camera.look_at(EYE, TARGET, UP, 0.61)
