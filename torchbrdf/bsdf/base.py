@@ -84,8 +84,13 @@ class Bsdf(Value):
 
     @property
     def energy_bound(self) -> Tensor | None:
-        """Upper bound ``[..., C]`` of the directional albedo over all directions; None where the model promises none."""
-        return None
+        """Upper bound ``[..., C]`` of the directional albedo over all directions: 1, unless a model knows better.
+
+        It is a promise, and every model makes one: that it reflects no more than this, nor more than it receives (a bound above 1, as a
+        sum of loose bounds may be, does not excuse an albedo above 1). A model that is not meant to conserve energy returns None, which
+        promises nothing, as does every model made of it; ``tb.testing.check`` then reports the largest albedo and does not judge it.
+        """
+        return torch.ones(1, dtype=torch.float64)
 
     def kink_distance(self, g: Geometry) -> Tensor:
         """How far ``[...]`` (in cosines) a geometry is from where f is not smooth: from the horizon, unless a model adds to it.
@@ -116,7 +121,9 @@ class Bsdf(Value):
         from .sampler import mixture_density
 
         g = self.geometry(wi, wo, n, tangent, assume_unit)
-        density = torch.where(self.domain(g), mixture_density(self, g), 0.0)
+        density = mixture_density(self, g)
+        whole = self._whole(torch.broadcast_shapes(density.shape, g.cos_i.shape, g.cos_o.shape))
+        density = torch.where(self.domain(g).expand(whole), density, 0.0)
         return g.viewer.layout.join_number(density).to(wi.dtype)
 
     def sample(
@@ -133,7 +140,8 @@ class Bsdf(Value):
         if u.device != wo.device:
             raise TypeError(f"u: on {u.device} beside wo on {wo.device}; convert it with .to(...)")
         layout = viewer.layout
-        numbers = [layout.lift(numerics.widen(x)) for x in u.unbind(-1)]
+        lifted = [layout.lift(numerics.widen(x)) for x in u.unbind(-1)]
+        numbers = [x.expand(self._whole(x.shape)) for x in lifted]
         s = sample(self, viewer, Vec(numbers[0], numbers[1], numbers[-1]))
         wi = layout.join_vector(s.wi)
         weight, pdf, eta = layout.join(s.weight), layout.join_number(s.pdf), layout.join_number(s.eta)
@@ -178,6 +186,10 @@ class Bsdf(Value):
         """Check what belongs to the viewer, and the ``batch`` axes of random numbers, against the parameters; and take it apart."""
         self._check_directions(batch, wo=wo, n=n, tangent=tangent)
         return self._viewer(wo, n, tangent, assume_unit)
+
+    def _whole(self, numbers: torch.Size) -> torch.Size:
+        """The shape of numbers broadcast with the parameters': a density that does not depend on them has their batch axes, too."""
+        return torch.broadcast_shapes(numbers, (*self.batch_shape, 1) if self.is_wide else self.batch_shape)
 
     def _viewer(self, wo: Tensor, n: Tensor | None, tangent: Tensor | None, assume_unit: bool) -> Viewer:
         layout = Layout.beside(wo, self.is_wide)
