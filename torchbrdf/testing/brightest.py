@@ -14,7 +14,7 @@ TURNS, ZOOMS = 4, 4  # azimuths over half a turn; times the surroundings of the 
 
 
 def brightest(bsdf: Bsdf, promise: Tensor, thorough: bool = False) -> Tensor:
-    """The local direction ``[1, 3]`` whose albedo exceeds ``promise [C]`` most: on a grid that is logarithmic towards grazing, then nearer."""
+    """The local direction ``[1, 3]`` whose albedo exceeds ``promise [C]`` most: on a grid logarithmic towards grazing, then nearer."""
     finer, order = (4, 2 * ORDER) if thorough else (1, ORDER)
     t = torch.cat([torch.linspace(0, 1, NEAR * finer + 1), torch.linspace(1, GRAZING, 2 * (GRAZING - 1) * finer + 1)[1:]]).double()
     grid = torch.cartesian_prod(t, torch.arange(0, math.pi, math.pi / (TURNS * finer), dtype=t.dtype))

@@ -55,11 +55,11 @@ class Cells(NamedTuple):
     def locate(self, points: Tensor, of: Tensor) -> Tensor:
         """The leaf in which each of ``points [P, 2]`` lies."""
         at = _root(points, of)
-        while True:
-            deeper = self.descend(points, at)
-            if torch.equal(deeper, at):
-                return at
-            at = deeper
+        inner = (~self.leaf[at]).nonzero().squeeze(1)
+        while len(inner):
+            at[inner] = self.descend(points[inner], at[inner])
+            inner = inner[~self.leaf[at[inner]]]
+        return at
 
     def descend(self, points: Tensor, at: Tensor) -> Tensor:
         """From cells to their halves, one step."""

@@ -52,7 +52,7 @@ def albedo(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcom
 
 
 def leaving(bsdf: Bsdf, w: Tensor, rng: torch.Generator, tolerance: float = TOLERANCE) -> tuple[Tensor, Tensor]:
-    """The part ``[V, C]`` of the light arriving along ``w [V, 3]`` that leaves again, delta lobes apart, and a bound ``[V]`` of its error."""
+    """The part ``[V, C]`` of light arriving along ``w [V, 3]`` that leaves again, delta lobes apart, and a bound ``[V]`` of its error."""
     if spread(bsdf) is None:
         return torch.zeros(len(w), bsdf.channels, dtype=w.dtype), torch.zeros(len(w), dtype=w.dtype)
     cells = integral(lambda out, w: bsdf.evaluate(w, out) * out[:, 2:].abs(), w, *pilots(bsdf, w, rng), tolerance)

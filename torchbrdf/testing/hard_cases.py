@@ -81,8 +81,9 @@ def _alone(value: Any, dtype: torch.dtype) -> Iterator[str]:
         names, parameters, rebuild = leaves(value)
         asked = [t.detach().clone().requires_grad_() for t in (*parameters, *inputs.values())]
         out = call(rebuild(asked[: len(parameters)]), *asked[len(parameters) :])
-        bad = [name for name, g in zip(["", *names, *inputs], (out, *_slopes(out, asked)), strict=True) if not bool(torch.isfinite(g).all())]
-        yield from (f"{verb}{f' by {name}' * bool(name)}, a single material" for name in bad)
+        found = zip(["", *names, *inputs], (out, *_slopes(out, asked)), strict=True)
+        bad = [name for name, x in found if not bool(torch.isfinite(x).all())]
+        yield from (f"{verb}{f' by {name}' * bool(name)} of a material without batch axes" for name in bad)
 
 
 def _not_finite(variants: list[Any], labels: tuple[str, ...], dtype: torch.dtype) -> Iterator[str]:

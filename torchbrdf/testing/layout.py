@@ -59,7 +59,7 @@ def planar_memory(subject: Any, rng: torch.Generator, thorough: bool = False) ->
     if subject.channels > PLANAR_CHANNELS:
         return Outcome.absent(name, f"more than {PLANAR_CHANNELS} channels broadcast instead")
     w, u = (torch.randn(3, 5, 3, generator=rng, dtype=torch.float64) for _ in range(2))
-    results = {}
+    results: dict[str, Tensor] = {}
     for one, materials in ((subject, "one material"), (batched(subject, 5, rng), "materials [5]")):
         s = one.sample(w, torch.sigmoid(u), w)
         found = {"evaluate": one.evaluate(w, w, w), "sample: wi": s.wi, "sample: weight": s.weight}

@@ -34,7 +34,7 @@ class Partition(NamedTuple):
 
     def counts(self, wi: Tensor, of: Tensor) -> Tensor:
         """How many of ``wi [N, 3]``, samples for ``wo[of]``, fall into each cell, ``[M]``."""
-        return torch.bincount(self.cells.locate(to_square(wi, self.wo[of]), of), minlength=len(self.bin)).to(wi.dtype)
+        return torch.bincount(self.cells.locate(to_square(wi, self.wo, of), of), minlength=len(self.bin)).to(wi.dtype)
 
     def sums(self, cells: Tensor) -> Tensor:
         """Of numbers ``[M]`` of cells, ``[V, BINS + 1]``."""
@@ -47,7 +47,7 @@ class Partition(NamedTuple):
         mine = (self.cells.leaf & (self.cells.of == view) & (self.bin == bin)).nonzero().squeeze(1)
         k = mine[surplus[mine].abs().argmax()]
         middle = self.cells.low[k] + 0.5 * self.cells.size[k]
-        return angles(from_square(middle.unsqueeze(0), self.wo[view : view + 1])[0][0])
+        return angles(from_square(middle.reshape(1, 1, 2), self.wo, torch.tensor([view]))[0].flatten())
 
 
 def _bins(cells: Cells) -> Tensor:

@@ -42,7 +42,7 @@ def _albedo(axes: Any, bsdf: Bsdf) -> None:
 
 
 def _histogram(axes: Any, bsdf: Bsdf) -> None:
-    axes.set(xlabel="bins of about equal probability, neighbours side by side; wo at 45°", ylabel=f"of {COUNT} samples")
+    axes.set(xlabel="bins of the sphere, for wo at 45°", ylabel=f"of {COUNT} samples")
     if spread(bsdf) is None:
         axes.text(0.5, 0.5, "delta lobes only", ha="center", transform=axes.transAxes)
         return

@@ -58,7 +58,7 @@ def samples_follow_pdf(subject: Any, rng: torch.Generator, thorough: bool = Fals
     least = of_several(SIGNIFICANCE, len(wo))
     p = [agreement(o, e) for o, e in zip(found.observed, found.expected, strict=True)]
     worst = min(range(len(wo)), key=lambda k: p[k])
-    detail = f"smallest p of chi-square (from {least:.1g} on), for wo at {degrees(wo[worst])}"
+    detail = f"smallest p of chi-square, rejected below {least:.2g}; for wo at {degrees(wo[worst])}"
     return Outcome(name, p[worst] > least, p[worst], detail if p[worst] > least else f"{detail}: {found.worst(worst)}")
 
 

@@ -29,28 +29,28 @@ def integral(f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, wi: Tensor, of: 
     ``wi [P, 3]``, of ``wo[of]``, are directions near which something is to be expected.
     """
     hints, hinted = _hints(wo)
-    points = torch.cat([to_square(wi, wo[of]), to_square(hints, wo[hinted])])
+    wi, of = torch.cat([wi, hints]), torch.cat([of, hinted])
 
     def integrand(x: Tensor, index: Tensor) -> Tensor:
-        there = wo[index].unsqueeze(1).expand(-1, x.shape[1], 3).reshape(-1, 3)
-        directions, area = from_square(x.reshape(-1, 2), there)
-        return (f(directions, there) * area).unflatten(0, x.shape[:2])
+        directions, area = from_square(x, wo, index)
+        there = wo[index].unsqueeze(1).expand_as(directions)
+        return f(directions.flatten(0, 1), there.flatten(0, 1)).unflatten(0, x.shape[:2]) * area
 
-    return integrate(integrand, points, torch.cat([of, hinted]), tolerance)
+    return integrate(integrand, to_square(wi, wo, of), of, tolerance)
 
 
-def from_square(x: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
-    """Directions ``[N, 3]`` of points ``[N, 2]``, and steradians per unit of area ``[N, 1]``."""
-    polar, azimuth = math.pi * x[:, :1], 2.0 * math.pi * x[:, 1:]
+def from_square(x: Tensor, wo: Tensor, of: Tensor) -> tuple[Tensor, Tensor]:
+    """Directions ``[K, N, 3]`` of points ``[K, N, 2]`` about ``-wo[of [K]]``, and steradians per unit of area ``[K, N, 1]``."""
+    polar, azimuth = math.pi * x[..., :1], 2.0 * math.pi * x[..., 1:]
     sin = torch.sin(polar)
-    frame = Frame.from_normal(-wo)
-    side = frame.tangent * torch.cos(azimuth) + frame.bitangent * torch.sin(azimuth)
-    return side * sin + frame.normal * torch.cos(polar), 2.0 * math.pi**2 * sin
+    tangent, bitangent, normal = (axis[of].unsqueeze(1) for axis in Frame.from_normal(-wo))
+    side = tangent * torch.cos(azimuth) + bitangent * torch.sin(azimuth)
+    return side * sin + normal * torch.cos(polar), 2.0 * math.pi**2 * sin
 
 
-def to_square(wi: Tensor, wo: Tensor) -> Tensor:
-    """Points ``[N, 2]`` of directions ``[N, 3]``."""
-    x, y, z = Frame.from_normal(-wo).to_local(wi).unbind(-1)
+def to_square(wi: Tensor, wo: Tensor, of: Tensor) -> Tensor:
+    """Points ``[N, 2]`` of directions ``[N, 3]`` about ``-wo[of [N]]``."""
+    x, y, z = ((axis[of] * wi).sum(-1) for axis in Frame.from_normal(-wo))
     return torch.stack([torch.atan2(torch.hypot(x, y), z) / math.pi, torch.atan2(y, x) / (2.0 * math.pi) % 1.0], -1)
 
 

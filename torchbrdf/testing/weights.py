@@ -28,7 +28,7 @@ def weights_match(subject: Any, rng: torch.Generator, thorough: bool = False) ->
     spreads = ~is_delta(subject, s.lobe).unsqueeze(-1)
     errors = torch.cat([_relative(s.weight * s.pdf, f * cos, spreads), _relative(s.pdf, pdf, spreads)], -1)
     worst, k = errors.max(-1).values.max(0)
-    where = "weight pdf against f cos, pdf against its own, over the largest; at " + pair(s.wi[k], wo[k], frame.normal[k])
+    where = "weight pdf against f cos, pdf against its own, over the largest; " + pair(s.wi[k], wo[k], frame.normal[k])
     # the two routes differ by rounding alone, which an exponent of 1e4 magnifies ten-thousandfold
     return Outcome(name, float(worst) <= 2.0**20 * torch.finfo(f.dtype).eps, float(worst), where)
 
