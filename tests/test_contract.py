@@ -130,7 +130,7 @@ def test_a_users_faulty_model_is_refused():
 
 
 def test_report(tmp_path):
-    report = tb.testing.check(tb.Lambert(torch.rand(5, 4, 3)) + tb.Mirror(0.2))
+    report = tb.testing.check(tb.Lambert(0.8 * torch.rand(5, 4, 3)) + tb.Mirror(0.2))
     assert report.ok
     table = str(report)
     assert "reciprocity" in table

@@ -187,7 +187,7 @@ class Brushed(tb.Bsdf):
 
 
 def test_a_brushed_metal_signs():
-    report = tb.testing.check(Brushed([0.5, 0.2], 0.6, 0.35))
+    report = tb.testing.check(Brushed([0.4, 0.2], 0.6, 0.35))
     assert report.ok, f"\n{report}"
 
 
