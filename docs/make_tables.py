@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import torchbrdf
+from torchbrdf.bsdf.base import ALBEDO_ORDER
 from torchbrdf.registry import BSDFS, FRESNEL_TERMS, registered
 
 HERE = Path(__file__).resolve().parent
@@ -55,9 +56,7 @@ def overview(classes: tuple[type[Any], ...]) -> str:
     rows = [["model", "formula", "parameters", "lobes", "directional albedo", "reciprocal"]]
     for cls in classes:
         parameters = ", ".join(f"`{n}` in {p.constraint}" for n, p in cls.params().items())
-        lobes = "those of its parts" if isinstance(cls.lobes, property) else ", ".join(lobe.value for lobe in cls.lobes)
-        albedo = "in closed form" if "directional_albedo" in vars(cls) else "by quadrature, 48 x 48 nodes"
-        albedo = "from its parts" if isinstance(cls.lobes, property) else albedo
+        lobes = "those of its parts" if isinstance(cls.lobes, property) else ", ".join(lobe.label for lobe in cls.lobes)
         reciprocal = "if its parts are" if isinstance(cls.reciprocal, property) else "yes" if cls.reciprocal else "no"
         rows.append(
             [
@@ -65,11 +64,19 @@ def overview(classes: tuple[type[Any], ...]) -> str:
                 f"${own_formula(cls)}$",
                 parameters or "none of its own",
                 lobes,
-                albedo,
+                albedo_of(cls),
                 reciprocal,
             ]
         )
     return rst.as_table(rows)
+
+
+def albedo_of(cls: type[Any]) -> str:
+    """How a class comes by its directional albedo."""
+    if isinstance(cls.lobes, property):
+        return "from its parts"
+    closed = "albedo_at" in vars(cls) or all(lobe.is_delta for lobe in cls.lobes)
+    return "in closed form" if closed else f"by quadrature, {ALBEDO_ORDER} x {ALBEDO_ORDER} nodes"
 
 
 def own_formula(cls: type[Any]) -> str:
@@ -101,7 +108,7 @@ def parameter_table(cls: type[Any]) -> str:
             rows.append([f"`{field.name}`", kind_of(field), "", "", ""])
             continue
         spec = cls.params()[field.name]
-        shape = f"`[..., {'C' if spec.size is None else spec.size}]` in {spec.constraint}"
+        shape = f"`{spec.shape}` in {spec.constraint}"
         drawn = "" if spec.constraint.typical is None else "{:g} to {:g}".format(*spec.constraint.typical)
         hard = ", ".join(f"{x:.7g}" for x in sorted(set(spec.constraint.extremes())))
         default = "" if field.default is dataclasses.MISSING else f"; default {field.default}"

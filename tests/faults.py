@@ -81,10 +81,7 @@ def blinn_normalised_as_distribution(_: Any) -> Any:
 
 
 def phong_without_fresnel_in_albedo(original: Any) -> Any:
-    def albedo(self: Any, w: Any, n: Any = None, tangent: Any = None, *, order: int = 48) -> Any:
-        return original(self.replace(fresnel=None), w, n, tangent, order=order)
-
-    return albedo
+    return lambda self, viewer, order: original(self.replace(fresnel=None), viewer, order)
 
 
 def fresnel_at_viewer(_: Any) -> Any:
@@ -268,7 +265,7 @@ FAULTS = (
     Fault(
         "half-vector normalisation of Blinn", "energy_bound", blinn_phong, "normal_view_factor", blinn_normalised_as_distribution, _blinn
     ),
-    Fault("albedo forgets Fresnel", "albedo", phong.Phong, "directional_albedo", phong_without_fresnel_in_albedo, _phong),
+    Fault("albedo forgets Fresnel", "albedo", phong.Phong, "albedo_at", phong_without_fresnel_in_albedo, _phong),
     Fault("F(n.wo) instead of F(wi.h)", "reciprocity", phong, "tinted", fresnel_at_viewer, _phong),
     Fault("a cosine too many", "reciprocity", phong.Phong, "formula", cosine_in_evaluate, _plain_phong),
     Fault("sample without cosine", "weights_match", sampler, "_spread", sample_without_cosine, _plain_phong),

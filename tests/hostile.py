@@ -107,10 +107,10 @@ def saved(folder: Path) -> None:
     import torchbrdf as tb
 
     lobe = tb.Phong(torch.rand(4, 5, 3), torch.rand(4, 5, 1), fresnel=tb.Schlick(0.04))
-    (tb.Lambert([0.1, 0.2, 0.3]) + 0.5 * lobe).save(folder / "sum.pt")
+    (tb.Lambert([0.1, 0.2, 0.3]) + 0.5 * lobe).save(folder / "sum.safetensors")
     box = trimesh.creation.box()
-    tb.Mesh(torch.tensor(box.vertices), torch.tensor(box.faces)).save(folder / "mesh.pt")
-    tb.Value.save(ball()[:3, :4], folder / "g.pt")
+    tb.Mesh(torch.tensor(box.vertices), torch.tensor(box.faces)).save(folder / "mesh.safetensors")
+    tb.Value.save(ball()[:3, :4], folder / "g.safetensors")
 
 
 def scenes(folder: Path) -> None:
@@ -195,7 +195,7 @@ def damaged_json(text: str, rng: np.random.Generator) -> str:
 def outcomes(files: dict[Path, int], seconds: int, megabytes: int) -> dict[Path, tuple[str, str]]:
     """``{file: (outcome, message)}`` of ``{file: megabytes to believe}``, read in a process of its own; what kills it has "died"."""
     found: dict[Path, tuple[str, str]] = {}
-    env = {**os.environ, "OMP_NUM_THREADS": "1"}
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
     left = dict(files)
     while left:
         listing = next(iter(files)).parent / "listing"
@@ -238,7 +238,7 @@ def readers(path: Path) -> list[Any]:
 
     if path.suffix == ".json":
         return [scene]
-    if path.suffix == ".pt":
+    if path.suffix in (".safetensors", ".pt"):
         return [lambda p: repr(tb.load_value(p))]
     if path.suffix == ".exr":
         return [tb.read_image, gbuffer]
@@ -262,12 +262,12 @@ def read_all(listing: Path, seconds: int, megabytes: int) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what readers print is of no interest here
     warnings.simplefilter("ignore")
     warm_up(listing.parent / "warm")
-    from torchbrdf import files
+    from torchbrdf.io import files
 
     resource.setrlimit(resource.RLIMIT_AS, (memory("VmSize") + (megabytes << 20),) * 2)
     signal.signal(signal.SIGALRM, late)
     for path, believed in map(json.loads, listing.read_text().splitlines()):
-        files.BELIEVED = believed << 20
+        files.MAX_DECODED_BYTES = believed << 20
         print(json.dumps([path, "reading", ""]), file=out, flush=True)
         print(json.dumps([path, *outcome(Path(path), seconds)]), file=out, flush=True)
 

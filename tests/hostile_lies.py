@@ -8,7 +8,6 @@ import json
 import os
 import pickle
 import struct
-import sys
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -118,7 +117,7 @@ MESHES = {
     "inf.obj": (text(TRIANGLE + "v 1e999 0 0\nf 1 2 4\n"), "1 of 3 are NaN or infinite"),
     "beyond_float32.obj": (text(TRIANGLE + "v 1e300 0 0\nf 1 2 4\n"), "1 of 3 are NaN or infinite"),
     "largest_float32.obj": (text(TRIANGLE + "v 3e38 0 0\nv -3e38 0 0\nf 3 4 5\n"), None),
-    "columns.obj": (text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"), r"columns.obj: Mesh.vertices: expected shape \[..., 3\]"),
+    "columns.obj": (text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"), r"columns.obj: Mesh.vertices: expected shape \[..., V, 3\]"),
     "uv_index.obj": (text(TRIANGLE + "vt 0 0\nf 1/1000000000 2/1 3/1\n"), None),
     "uv_nan.obj": (text(TRIANGLE + "vt nan inf\nf 1/1 2/1 3/1\n"), None),
     "normal_nan.obj": (text(TRIANGLE + "vn nan inf 0\nf 1//1 2//1 3//1\n"), None),
@@ -232,7 +231,7 @@ PICTURES = {
 }  # fmt: skip
 
 
-# --- saved states --------------------------------------------------------------------------------------------------------
+# --- saved values --------------------------------------------------------------------------------------------------------
 
 
 class Code:
@@ -245,107 +244,115 @@ class Code:
         return os.system, (f"touch '{self.marker}'",)
 
 
+def torch_file(**options: Any) -> Callable[[Path], Any]:
+    """What torch.save makes of a state that holds code."""
+
+    def write(path: Path) -> None:
+        import torch
+
+        torch.save(state("torchbrdf.Lambert", albedo=Code(path.parent / MARKER)), path, **options)
+
+    return write
+
+
 def state(value: Any, **fields: Any) -> dict[str, Any]:
     return {"value": value, "fields": fields}
 
 
-def torch_file(make: Callable[[], Any], **options: Any) -> Callable[[Path], Any]:
-    def write(path: Path) -> None:
-        import torch
-
-        allowed = sys.getrecursionlimit()
-        sys.setrecursionlimit(10 * allowed)  # the writer may go deeper than the reader
-        torch.save(make(), path, **options)
-        sys.setrecursionlimit(allowed)
-
-    return write
+def reference(name: Any = "albedo") -> dict[str, Any]:
+    return {"$tensor": name, "planar": False}
 
 
-def with_code(where: Callable[[Code], Any], **options: Any) -> Callable[[Path], Any]:
-    return lambda path: torch_file(lambda: where(Code(path.parent / MARKER)), **options)(path)
+def safe(header: Any, data: bytes = b"", length: int | None = None) -> Callable[[Path], Any]:
+    """A safetensors file by hand: eight bytes that count the header, the header (a tree or its bytes), the data."""
+    head = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return raw(struct.pack("<Q", len(head) if length is None else length) + head + data)
 
 
-def rewritten(change: Callable[[str, bytes], bytes], method: int = zipfile.ZIP_STORED) -> Callable[[Path], Any]:
-    """A saved Lambert whose records are changed behind torch's back."""
-
-    def write(path: Path) -> None:
-        import torch
-
-        torch.save(state("Lambert", albedo=torch.zeros(1000, 3)), path)
-        with zipfile.ZipFile(path) as z:
-            records = {i.filename: z.read(i) for i in z.infolist()}
-        with zipfile.ZipFile(path, "w", method, compresslevel=1) as z:
-            for name, data in records.items():
-                z.writestr(name, change(name, data))
-
-    return write
+def holding(structure: Any, data: bytes = bytes(12), **tensors: Any) -> Callable[[Path], Any]:
+    """One of a structure (a tree or its text) and the tensor ``albedo``, three float32 unless told otherwise."""
+    text = structure if isinstance(structure, str) else json.dumps(structure)
+    albedo = {"dtype": "F32", "shape": [3], "data_offsets": [0, 12], **tensors}
+    return safe({"__metadata__": {"torchbrdf": text}, "albedo": albedo}, data)
 
 
-def pickled(before: bytes, after: bytes) -> Callable[[str, bytes], bytes]:
-    return lambda name, data: data.replace(before, after) if name.endswith("data.pkl") else data
-
-
-def lambert(**changes: Any) -> Callable[[Path], Any]:
-    def make() -> Any:
-        import torch
-
-        return state("Lambert", albedo=eval(changes["albedo"], {"torch": torch}))
-
-    return torch_file(make)
-
-
-def nested(depth: int) -> Any:
-    """Lists in lists, each holding the one below ten times: ten lines of pickle, 10^depth elements."""
-    inner: list[Any] = []
-    for _ in range(depth):
-        inner = [inner] * 10
-    return inner
-
-
-def ouroboros() -> Any:
-    snake: list[Any] = []
-    snake.append(snake)
-    return snake
+def lambert(data: bytes = bytes(12), **tensor: Any) -> Callable[[Path], Any]:
+    return holding(state("torchbrdf.Lambert", albedo=reference()), data, **tensor)
 
 
 def deep_values(depth: int) -> Any:
-    inner: Any = state("Lambert", albedo=0.5)
+    inner: Any = state("torchbrdf.Lambert", albedo=0.5)
     for _ in range(depth):
-        inner = state("Scaled", inner=inner, factor=1.0)
+        inner = state("torchbrdf.Scaled", inner=inner, factor=1.0)
     return inner
 
 
-def deep_file(path: Path) -> None:
-    """Written by hand: torch.save itself cannot go so deep."""
-    rewritten(lambda name, data: b"\x80\x02" + b"(" * 20_000 + b"]" + b"t" * 20_000 + b"." if name.endswith("data.pkl") else data)(path)
+def sum_of(terms: Any) -> dict[str, Any]:
+    return state("torchbrdf.Sum", terms=terms)
 
 
+def triangle(*face: int) -> dict[str, Any]:
+    return state("torchbrdf.Mesh", vertices=[[0.0] * 3] * 3, faces=[list(face)])
+
+
+NO_VALUE = "is not a saved torchbrdf value"
 SAVED = {
-    "code.pt": (with_code(lambda code: state("Lambert", albedo=code)), "names code, posix.system, which is never run"),
-    "code_beside.pt": (with_code(lambda code: {**state("Lambert", albedo=0.5), "note": code}), "names code, posix.system"),
-    "old_code.pt": (with_code(lambda code: code, _use_new_zipfile_serialization=False), "not a zip file"),
-    "bare_code.pt": (lambda path: path.write_bytes(pickle.dumps(Code(path.parent / MARKER))), "not a zip file"),
-    "class_of_torch.pt": (torch_file(lambda: state("Module")), "found 'Module' for a value"),
-    "module_of_ours.pt": (torch_file(lambda: state("importlib")), "found 'importlib' for a value"),
-    "base_class.pt": (torch_file(lambda: state("Value")), "found 'Value' for a value"),
-    "unhashable_name.pt": (torch_file(lambda: state([1])), "found list for a value"),
-    "no_name.pt": (torch_file(lambda: state(None)), "found None for a value"),
-    "expanded.pt": (lambert(albedo="torch.ones(1, 3).expand(10**12, 3)"), r"claims the shape \[1000000000000, 3\]"),
-    "sparse.pt": (lambert(albedo="torch.ones(2, 3).to_sparse()"), "sparse_coo tensor"),
-    "eight_bits.pt": (lambert(albedo="torch.ones(3).to(torch.float8_e4m3fn)"), "Lambert.albedo: expected a tensor of floats"),
-    "no_channel.pt": (lambert(albedo="torch.ones(0)"), "with one channel at least"),
-    "list_for_ever.pt": (torch_file(lambda: state("Sum", terms=ouroboros())), "hold each other, or one of them twice"),
-    "laughing.pt": (torch_file(lambda: state("Sum", terms=nested(12))), "hold each other, or one of them twice"),
-    "deep.pt": (deep_file, "not a saved torchbrdf value"),
-    "deep_values.pt": (torch_file(lambda: deep_values(300)), "more than 64 deep"),
-    "wrong_slot.pt": (torch_file(lambda: state("Scaled", inner=state("Dielectric", eta=1.5), factor=1.0)), "Scaled.inner: expected a BSDF"),
-    "number_for_terms.pt": (torch_file(lambda: state("Sum", terms=5)), "does not fit this version"),
-    "index.pt": (torch_file(lambda: state("Mesh", vertices=[[0.0] * 3 for _ in range(3)], faces=[[0, 1, 99]])), "Mesh.faces: legal are 0 to 2"),
-    "big_number.pt": (torch_file(lambda: state("Mesh", vertices=[[0.0] * 3 for _ in range(3)], faces=[[0, 1, 10**30]])), "Mesh.faces: expected a number"),
-    "bomb.pt": (rewritten(lambda name, data: bytes(1 << 28) if "/data/" in name else data, zipfile.ZIP_DEFLATED), "records unpack to 2684"),
-    "shape.pt": (rewritten(pickled(b"M\xe8\x03K\x03\x86", b"J\0\0\1\0K\x03\x86")), "not a saved torchbrdf value"),
-    "storage.pt": (rewritten(pickled(b"M\xb8\x0b", b"J\0\0\0\x10")), "does not match expected size"),
-    "stride.pt": (rewritten(pickled(b"K\x03K\x01\x86", b"J\xff\xff\xff\x7fK\x01\x86")), "not a saved torchbrdf value"),
+    "code.pt": (torch_file(), "it is a pickle, as torch.save writes them, which could run code"),
+    "old_code.pt": (torch_file(_use_new_zipfile_serialization=False), "it is a pickle"),
+    "bare_code.pt": (lambda path: path.write_bytes(pickle.dumps(Code(path.parent / MARKER))), "it is a pickle"),
+    "code.safetensors": (torch_file(), "it is a pickle"),
+    # the container
+    "empty.safetensors": (raw(b""), NO_VALUE),
+    "long_header.safetensors": (safe({}, length=2**63 - 1), "SafetensorError"),
+    "longest_header.safetensors": (safe({}, length=2**64 - 1), "SafetensorError"),
+    "hundred_megabytes.safetensors": (safe({}, length=100_000_000), "SafetensorError"),
+    "no_header.safetensors": (safe(b""), "SafetensorError"),
+    "binary_header.safetensors": (safe(b"{\xff\xfe}"), "SafetensorError"),
+    "list_header.safetensors": (safe([1, 2]), "SafetensorError"),
+    "deep_header.safetensors": (safe(b'{"a":' + b"[" * 200_000), "SafetensorError"),
+    "twice.safetensors": (safe(b'{"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]},"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]}}', b"1"), NO_VALUE),
+    # tensors
+    "shape.safetensors": (lambert(shape=[10**12, 3]), "SafetensorError"),
+    "overflow.safetensors": (lambert(shape=[2**62, 2**62, 2**62]), "SafetensorError"),
+    "wraps.safetensors": (lambert(shape=[2**62 + 3]), "SafetensorError"),
+    "negative.safetensors": (lambert(shape=[-3]), "SafetensorError"),
+    "nothing_wide.safetensors": (lambert(b"", shape=[0, 2**60], data_offsets=[0, 0]), None),
+    "nothing_wider.safetensors": (lambert(b"", shape=[2**60, 2**60, 0], data_offsets=[0, 0]), NO_VALUE),
+    "beyond.safetensors": (lambert(data_offsets=[0, 10**12], shape=[25 * 10**10]), "SafetensorError"),
+    "backwards.safetensors": (lambert(data_offsets=[12, 0]), "SafetensorError"),
+    "hole.safetensors": (lambert(bytes(24), data_offsets=[12, 24]), "SafetensorError"),
+    "left_over.safetensors": (lambert(bytes(1000)), "SafetensorError"),
+    "other_size.safetensors": (lambert(dtype="F64"), "SafetensorError"),
+    "unknown_dtype.safetensors": (lambert(dtype="F31"), "SafetensorError"),
+    "half_byte.safetensors": (lambert(bytes(2), dtype="F4", shape=[4], data_offsets=[0, 2]), NO_VALUE),
+    "eight_bits.safetensors": (lambert(bytes(3), dtype="F8_E5M2", data_offsets=[0, 3]), "Lambert.albedo: expected a tensor of floats, found torch.float8_e5m2"),
+    "complex.safetensors": (lambert(bytes(24), dtype="C64", data_offsets=[0, 24]), NO_VALUE),  # from safetensors 0.7 on a dtype
+    "integers.safetensors": (lambert(dtype="I32"), "Lambert.albedo: expected a tensor of floats, found torch.int32"),
+    "no_channel.safetensors": (lambert(b"", shape=[0], data_offsets=[0, 0]), "with one channel at least"),
+    # the structure
+    "weights.safetensors": (safe({"albedo": {"dtype": "F32", "shape": [3], "data_offsets": [0, 12]}}, bytes(12)), "it holds tensors alone"),
+    "text.safetensors": (holding("hello"), "JSONDecodeError"),
+    "number.safetensors": (holding(5), "found 'int' for a value"),
+    "digits.safetensors": (holding("9" * 100_000), "4300 digits"),
+    "deep_text.safetensors": (holding("[" * 200_000), "RecursionError"),
+    "deep_list.safetensors": (holding(sum_of(json.loads("[" * 300 + "]" * 300))), "more than 64 deep"),
+    "deep_values.safetensors": (holding(deep_values(150)), "more than 64 deep"),
+    "bare_tensor.safetensors": (holding(reference()), "found 'Tensor' for a value"),
+    "no_such_tensor.safetensors": (holding(state("torchbrdf.Lambert", albedo=reference("x"))), "KeyError: 'x'"),
+    "tensor_by_list.safetensors": (holding(state("torchbrdf.Lambert", albedo=reference([1]))), "unhashable"),
+    "class_of_torch.safetensors": (holding(state("torch.nn.Module")), "found 'torch.nn.Module' for a value"),
+    "module_of_ours.safetensors": (holding(state("torchbrdf.importlib")), "found 'torchbrdf.importlib' for a value"),
+    "function_of_ours.safetensors": (holding(state("torchbrdf.load_value", path="/dev/zero")), "found 'torchbrdf.load_value' for a value"),
+    "base_class.safetensors": (holding(state("torchbrdf.Value")), "found 'torchbrdf.Value' for a value"),
+    "unhashable_name.safetensors": (holding(state([1])), "found list for a value"),
+    "no_name.safetensors": (holding(state(None)), "found None for a value"),
+    "field_too_many.safetensors": (holding(state("torchbrdf.Lambert", albedo=reference(), colour=1.0)), "does not fit this version: .*'colour'"),
+    "field_too_few.safetensors": (holding(state("torchbrdf.Lambert")), "does not fit this version: .*'albedo'"),
+    "wrong_slot.safetensors": (holding(state("torchbrdf.Scaled", inner=state("torchbrdf.Dielectric", eta=1.5), factor=1.0)), "Scaled.inner: expected a BSDF"),
+    "number_for_terms.safetensors": (holding(sum_of(5)), "does not fit this version"),
+    "one_tensor_for_many.safetensors": (holding(sum_of([state("torchbrdf.Lambert", albedo=reference())] * 2000)), None),
+    "index.safetensors": (holding(triangle(0, 1, 99)), "Mesh.faces: legal are 0 to 2"),
+    "big_number.safetensors": (holding(triangle(0, 1, 10**30)), "Mesh.faces: expected a number"),
 }  # fmt: skip
 
 LIES = MESHES | PICTURES | SAVED

@@ -84,7 +84,7 @@ CASES = {
     "camera size 0": (lambda t: camera((0, 4)), ValueError, r"Camera.size: expected \(height, width\), two positive whole numbers, found \(0, 4\)"),
     "camera size 1.5": (lambda t: camera((1.5, 4)), ValueError, r"Camera.size: expected .* found \(1.5, 4\)"),
     "camera size 4": (lambda t: camera(4), ValueError, r"Camera.size: expected \(height, width\).* found 4"),
-    "unknown camera convention": (lambda t: tb.Camera.from_matrix(torch.eye(3), torch.eye(4), (4, 4), convention="maya"), ValueError, r"unknown convention 'maya', legal are \['blender', 'opencv', 'opengl'\]"),
+    "unknown camera convention": (lambda t: tb.Camera.from_matrix(torch.eye(3), torch.eye(4), (4, 4), convention="maya"), ValueError, r"unknown convention 'maya', legal are \['blender', 'mitsuba', 'opencv', 'opengl'\]"),
     # sizes of every kind of parameter
     "size 1": (lambda t: tb.Phong(0.5, torch.ones(4, 5)), ValueError, r"Phong.exponent: expected shape \[..., 1\], found \[4, 5\]; did you mean x.unsqueeze\(-1\)"),
     "size 2": (lambda t: g(uv=torch.zeros(4, 5, 3)), ValueError, r"GBuffer.uv: expected shape \[..., 2\], found \[4, 5, 3\]"),
@@ -93,6 +93,8 @@ CASES = {
     "size 1 of a mask": (lambda t: g(mask=torch.ones(4, 5, dtype=torch.bool)), ValueError, r"GBuffer.mask: expected shape \[..., 1\], found \[4, 5\]; did you mean x.unsqueeze"),
     "size C": (lambda t: tb.Phong(torch.rand(3), 1.0) + tb.Lambert(torch.rand(4)), ValueError, r"different numbers of colour channels: .*3.*4.*use one C, or 1"),
     "size C within a model": (lambda t: tb.Conductor(torch.ones(3), torch.ones(2)), ValueError, r"Conductor: colour parameters have different numbers of channels: .*3.*2.*use one C, or 1"),
+    "size C of a Fresnel term": (lambda t: tb.Phong([1.0] * 3, 5.0, fresnel=tb.Schlick([0.1] * 4)), ValueError, r"Phong: different numbers of colour channels: .*'own parameters', 3.*'Schlick', 4.*; use one C, or 1"),
+    "size of u for two lobes": (lambda t: (tb.Lambert(0.5) + tb.Phong(0.5, 9.0)).sample(UP, torch.rand(2)), ValueError, r"found \[2\], the third chooses among the 2 lobes: torch.rand\(..., 3\)"),
     "size C of a light": (lambda t: shade(bsdf=tb.Lambert(torch.rand(8)), lights=[SUN, tb.PointLight(UP, torch.ones(3))]), ValueError, r"bsdf and lights have different numbers of colour channels: .*'bsdf': 8, .*'lights\[1\]': 3.*; use one C, or 1"),
     "size of u": (lambda t: tb.Lambert(0.5).sample(UP, torch.rand(4)), ValueError, r"u: expected shape \[..., 3\] of numbers in \[0, 1\), found \[4\]"),
     "size of wi": (lambda t: tb.Lambert(0.5).evaluate(torch.rand(2), UP), ValueError, r"wi: expected shape \[..., 3\], found \[2\]"),
@@ -125,6 +127,9 @@ CASES = {
     "dtype of a parameter": (lambda t: shade(bsdf=tb.Lambert(torch.rand(4, 5, 3).double())), TypeError, r"Lambert.albedo: float64 on cpu beside the G-buffer's position: float32 on cpu; convert one with .to"),
     "dtype of the normal": (lambda t: shade(g=g(normal=UP.double().expand(4, 5, 3))), TypeError, r"GBuffer.normal: float64 on cpu beside position: float32 on cpu; convert one with .to"),
     "dtype of wo": (lambda t: tb.Lambert(0.5).evaluate(UP, UP.double()), TypeError, r"wo: float64 on cpu beside wi: float32 on cpu; convert one with .to"),
+    "dtype in sample": (lambda t: tb.Lambert(torch.rand(4, 3)).sample(UP.double(), torch.rand(2).double()), TypeError, r"Lambert.albedo: float32 on cpu beside wo: float64 on cpu; convert one with .to"),
+    "dtype in evaluate": (lambda t: tb.Lambert(torch.rand(4, 3)).evaluate(UP.double(), UP.double()), TypeError, r"Lambert.albedo: float32 on cpu beside wi: float64 on cpu; convert one with .to"),
+    "device in evaluate": (lambda t: tb.Lambert(META).evaluate(UP, UP), TypeError, r"Lambert.albedo: float32 on meta beside wi: float32 on cpu; convert one with .to"),
     # names and switches
     "normalization": (lambda t: tb.Phong(0.5, 2.0, normalization="half"), ValueError, r"Phong.normalization: found 'half', legal are \['bound', 'modified', 'none'\]"),
     "wrap": (lambda t: tb.nn.Texture(torch.rand(2, 2, 3), wrap="mirror"), ValueError, r"Texture.wrap: found 'mirror', legal are \('repeat', 'clamp'\)"),

@@ -39,25 +39,37 @@ def test_contract_thoroughly(subject, prop):
     assert outcome.ok is not False, outcome
 
 
-def test_compiles():
-    outcome = run(compiles, tb.Lambert([0.5, 0.4, 0.3]) + tb.Phong(0.3, 20.0, fresnel=tb.Schlick([0.04, 0.5, 0.6])))
-    assert outcome.ok is not False, outcome
-
-
 def worth_compiling():
-    """Every class once, every Fresnel term in a lobe, and every mixture: each costs half a minute."""
+    """(label, value) of every class once, every Fresnel term in a lobe, and every mixture: inductor takes half a minute for each."""
     seen = set()
     for label, subject in INSTANCES:
         if label.startswith(("Phong(modified", "Sum")) or type(subject) not in seen:
             seen.add(type(subject))
-            yield pytest.param(subject, id=label)
+            yield label, subject
+
+
+WORTH = dict(worth_compiling())
+TRACED = {type(subject): label for label, subject in WORTH.items()}.values()  # of each class the last, which has most in its slots
+
+
+@pytest.mark.parametrize("label", TRACED)
+def test_traces_into_one_graph(label):
+    outcome = run(compiles, WORTH[label], backend="aot_eager")
+    assert outcome.ok is True, outcome
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("subject", list(worth_compiling()))
-def test_compiles_all(subject):
-    outcome = run(compiles, subject)
+@pytest.mark.parametrize("label", WORTH)
+def test_compiles(label):
+    outcome = run(compiles, WORTH[label])
     assert outcome.ok is not False, outcome
+
+
+def test_check_compiles_when_asked():
+    assert "compiles" not in f"{tb.testing.check(tb.Schlick(0.04))}"
+    report = tb.testing.check(tb.Schlick(0.04), compiled="aot_eager")
+    assert report.ok, f"\n{report}"
+    assert "compiles               ok" in f"{report}"
 
 
 def unregistered(base, package="torchbrdf"):

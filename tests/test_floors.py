@@ -10,17 +10,35 @@ import torchbrdf
 ROOT = Path(torchbrdf.__file__).parent
 FLOORS = {
     **dict.fromkeys(
-        ("numerics", "vector", "geometry", "interval", "value", "registry", "arguments", "parameters", "torch_compat", "quadrature", "sampling", "files", "saved", "pictures", "raster", "rgbe"),
+        (
+            "numerics",
+            "vector",
+            "geometry",
+            "constraint",
+            "interval",
+            "declaration",
+            "value",
+            "loading",
+            "registry",
+            "arguments",
+            "parameters",
+            "torch_compat",
+            "compiling",
+            "quadrature",
+            "lookup",
+            "sampling",
+            "io",
+        ),
         0,
     ),
     "optics": 1,
     **dict.fromkeys(("bsdf", "light", "scene"), 2),
-    **dict.fromkeys(("effects", "planning", "compiling"), 3),
+    **dict.fromkeys(("effects", "planning"), 3),
     "nn": 4,
     **dict.fromkeys(("testing", "measure", "ledger"), 9),  # aside: they use the floors, nothing imports them
 }
 SIBLINGS = {"bsdf", "light", "scene"}  # never import one another
-HEAVY = ("kornia", "trimesh", "OpenEXR", "embreex", "PIL", "matplotlib", "mpmath", "scipy", "tqdm")
+HEAVY = ("kornia", "trimesh", "OpenEXR", "embreex", "PIL", "safetensors", "matplotlib", "mpmath", "scipy", "tqdm")
 
 
 def imports(source: str, package: tuple[str, ...]) -> set[str]:

@@ -16,7 +16,7 @@ import torch
 from hostile_lies import LIES, MARKER, accessor, glb
 
 import torchbrdf as tb
-from torchbrdf import files
+from torchbrdf.io import files
 
 SPACE = 700  # MB of address space beyond the imports; what is believed below is 64 MB, held in three copies, and OpenEXR's threads
 BELIEVED = 64
@@ -59,7 +59,7 @@ def damaged_copies(path, rng, copies):
 def cut_files(whole):
     """Those that must be complete, cut at 12 places, the last byte among them. (Of a PNG, Pillow does not miss the check sums that
     stand at its end.)"""
-    for path in (p for paths in whole.values() for p in paths if p.suffix in (".hdr", ".pt", ".glb", ".exr", ".json")):
+    for path in (p for paths in whole.values() for p in paths if p.suffix in (".hdr", ".safetensors", ".glb", ".exr", ".json")):
         data = path.read_bytes()
         for k, at in enumerate(np.linspace(0, len(data) - 1, 12).astype(int)):
             cut = path.with_stem(f"{path.stem}_cut_{k}")
@@ -76,7 +76,9 @@ def found(tmp_path_factory):
     files_ = {p: BELIEVED for group in groups.values() for p in group}
     for name, (write, _) in LIES.items():
         write(folder / name)
-        files_[folder / name] = files.BELIEVED >> 20  # of a lie a gigabyte is believed, and yet it gets no more memory than the others
+        files_[folder / name] = (
+            files.MAX_DECODED_BYTES >> 20
+        )  # of a lie a gigabyte is believed, and yet it gets no more memory than the others
     groups["lies"] = [folder / name for name in LIES]
     outcomes = hostile.outcomes(files_, 10, SPACE)
     yield {group: {p: outcomes[p] for p in paths} for group, paths in groups.items()}
@@ -148,14 +150,14 @@ def test_a_picture_is_never_run_as_a_program(tmp_path, monkeypatch, name):
 def test_a_trusted_file_may_claim_more(tmp_path, monkeypatch):
     torch.manual_seed(0)
     tb.save_image(tmp_path / "a.png", torch.rand(64, 64, 3))
-    monkeypatch.setattr(files, "BELIEVED", 1 << 10)
-    monkeypatch.setattr(files, "RATIO", 1)
+    monkeypatch.setattr(files, "MAX_DECODED_BYTES", 1 << 10)
+    monkeypatch.setattr(files, "MAX_EXPANSION", 1)
     with pytest.raises(
         ValueError,
-        match=r"a.png is .*claims 64 x 64 pixels of 3 floats: 0.0469 MiB, .*at most 0.0\d+ MiB is believed.*raise torchbrdf.files.BELIEVED",
+        match=r"a.png is .*claims 64 x 64 pixels of 3 floats: 0.0469 MiB, .*at most 0.0\d+ MiB is believed.*raise torchbrdf.io.files.MAX_DECODED_BYTES",
     ):
         tb.read_image(tmp_path / "a.png")
-    monkeypatch.setattr(files, "BELIEVED", 1 << 20)
+    monkeypatch.setattr(files, "MAX_DECODED_BYTES", 1 << 20)
     assert tb.read_image(tmp_path / "a.png").shape == (64, 64, 3)
 
 
@@ -164,12 +166,12 @@ def test_a_trusted_file_may_claim_more(tmp_path, monkeypatch):
 PEAK = """
 import sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[1])
+sys.path[:0] = [sys.argv[1], str(Path(sys.argv[1]).parent)]
 import hostile
 import torchbrdf as tb
-from torchbrdf import files
+from torchbrdf.io import files
 hostile.warm_up(Path(sys.argv[2]) / "warm")
-files.BELIEVED = 64 << 20
+files.MAX_DECODED_BYTES = 64 << 20
 Path("/proc/self/clear_refs").write_text("5")  # the high-water mark falls to what is in use now
 before = hostile.memory("VmHWM")
 (tb.load_mesh if sys.argv[3].endswith("glb") else tb.read_image)(sys.argv[3])

@@ -96,12 +96,16 @@ def test_distances(dtype):
     assert distance.shape == (2, 4, 5, 1)
     # From the point along the direction by the distance stands the light.
     reached = points.double() + wi.double() * distance.double()
-    torch.testing.assert_close(reached, position[:, None, None].expand_as(reached), atol=16 * torch.finfo(dtype).eps, rtol=0)  # roundings of a few units
+    torch.testing.assert_close(
+        reached, position[:, None, None].expand_as(reached), atol=16 * torch.finfo(dtype).eps, rtol=0
+    )  # roundings of a few units
     wi, distance, _, _ = tb.DirectionalLight(direction, 1.0).sample(points)
     assert wi.shape == (3, 4, 5, 3)
     assert torch.isinf(distance).all()
     assert distance.shape == (3, 4, 5, 1)
-    torch.testing.assert_close(wi[:, 1, 2].double(), torch.nn.functional.normalize(direction, dim=-1), atol=4 * torch.finfo(dtype).eps, rtol=0)
+    torch.testing.assert_close(
+        wi[:, 1, 2].double(), torch.nn.functional.normalize(direction, dim=-1), atol=4 * torch.finfo(dtype).eps, rtol=0
+    )
 
 
 @pytest.mark.parametrize(

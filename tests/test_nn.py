@@ -107,7 +107,7 @@ def test_no_step_leaves_the_range(constraint, dtype):
 
 def test_bind_refuses_starts_outside_and_two_different_ranges():
     with pytest.raises(
-        ValueError, match=r"Lambert.albedo: the field starts outside the legal range \[0, 1\] \(min 0.2, max 1.2\); start it inside"
+        ValueError, match=r"Lambert.albedo: the field starts outside: legal range \[0, 1\], found 1.2 \(min 0.2, max 1.2\); start it inside"
     ):
         tb.nn.Material(tb.Lambert, albedo=tb.nn.Learned([0.2, 1.2]))
     shared = tb.nn.Learned([0.5])

@@ -9,7 +9,8 @@ import pytest
 import torch
 from PIL import Image
 
-from torchbrdf import pictures, read_image, rgbe, save_image
+from torchbrdf import read_image, save_image
+from torchbrdf.io import exr, rgbe
 
 
 def srgb_decoded(x):
@@ -93,25 +94,49 @@ def test_non_finite_pixels_are_kept_by_exr_and_shown_with_a_warning(tmp_path):
     assert np.asarray(Image.open(tmp_path / "a.png")).tolist() == [[[0, 255, 0]]]
 
 
-@pytest.mark.parametrize(
-    ("name", "image", "match"),
-    [
-        ("a.gif", torch.zeros(2, 2, 3), r"\.png"),
-        ("a.png", torch.zeros(2, 2, 4), r"\[H, W, 3\]"),
-        ("a.png", torch.zeros(2, 3), r"\[H, W, 3\]"),
-        ("a.png", torch.zeros(2, 2, 3, dtype=torch.uint8), "floats"),
-        ("a.png", torch.zeros(0, 2, 3), "found"),
-    ],
-)
-def test_what_cannot_be_saved_is_refused(tmp_path, name, image, match):
+def rand(*shape):
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(0))
+
+
+REFUSED = {
+    "format": ("a.gif", rand(2, 2, 3), r"a\.gif: the name must end in one of \.png, .*\.exr"),
+    "empty": ("a.png", rand(0, 2, 3), r"found float32 \[0, 2, 3\]; it has no pixels"),
+    "bytes": ("a.png", torch.zeros(2, 2, 3, dtype=torch.uint8), r"found uint8 \[2, 2, 3\]; divide by 255 and decode its sRGB"),
+    "mask": ("a.png", rand(4, 5, 1) > 0.5, r"found bool \[4, 5, 1\]; convert it, for example with image\.float\(\)"),
+    "complex": ("a.exr", torch.zeros(4, 5, 3, dtype=torch.complex64), "found complex64"),
+    "one pixel": ("a.exr", rand(3), r"one pixel is image\.reshape\(1, 1, -1\)"),
+    "list of pixels": ("a.png", rand(20, 3), r"list of pixels, did you mean image\.reshape\(H, W, 3\)"),
+    "list of grey pixels": ("a.exr", rand(20, 1), r"did you mean image\.reshape\(H, W, 1\)"),
+    "batch": ("a.png", rand(5, 4, 6, 3), r"found float32 \[5, 4, 6, 3\]; it is a batch: save one picture of it, such as image\[0\]$"),
+    "lights and views": ("a.exr", rand(2, 5, 4, 6, 3), r"such as image\[0, 0\]$"),
+    "channels first": ("a.png", rand(3, 4, 6), r"found float32 \[3, 4, 6\]; did you mean image\.movedim\(0, -1\)\?"),
+    "grey, channel first": ("a.exr", rand(1, 4, 6), r"did you mean image\.movedim\(0, -1\)\?"),
+    "alpha": ("a.png", rand(4, 5, 4), r"alpha is not written: did you mean image\[\.\.\., :3\]"),
+    "many channels": ("a.exr", rand(4, 5, 7), r"choose three channels or one: did you mean image\[\.\.\., :3\]"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_saved_is_named_with_its_remedy(tmp_path, case):
+    name, image, match = REFUSED[case]
     with pytest.raises(ValueError, match=match):
         save_image(tmp_path / name, image)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.exr"])
+@pytest.mark.parametrize("image", [rand(4, 6), rand(3, 6), rand(4, 2)])
+def test_two_axes_are_a_grey_picture(tmp_path, name, image):
+    save_image(tmp_path / name, image)
+    save_image(tmp_path / f"again_{name}", image.unsqueeze(-1))
+    assert (tmp_path / name).read_bytes() == (tmp_path / f"again_{name}").read_bytes()
+    torch.testing.assert_close(read_image(tmp_path / name), image.unsqueeze(-1), atol=0.02, rtol=0)
 
 
 def test_a_missing_folder_and_a_missing_file_are_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="nowhere"):
         save_image(tmp_path / "nowhere" / "a.png", torch.zeros(2, 2, 3))
-    for read in (read_image, pictures.read_exr):
+    for read in (read_image, exr.read_exr):
         with pytest.raises(FileNotFoundError, match=r"gone\.exr"):
             read(tmp_path / "gone.exr")
 
@@ -131,8 +156,8 @@ def box(x0, y0, x1, y1):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16])
 def test_strided_channels_are_written_right(tmp_path, dtype):
     wide = torch.rand(4, 5, 3, dtype=dtype)
-    pictures.write_exr(tmp_path / "a.exr", dict(zip(("normal.X", "normal.Y", "Z"), wide.unbind(-1), strict=True)))
-    (channels,) = pictures.read_exr(tmp_path / "a.exr").values()
+    exr.write_exr(tmp_path / "a.exr", dict(zip(("normal.X", "normal.Y", "Z"), wide.unbind(-1), strict=True)))
+    (channels,) = exr.read_exr(tmp_path / "a.exr").values()
     assert set(channels) == {"normal.X", "normal.Y", "Z"}
     for k, name in enumerate(("normal.X", "normal.Y", "Z")):
         assert np.array_equal(channels[name], wide[..., k].float().numpy())
@@ -167,7 +192,7 @@ def test_every_part_is_read_and_the_combined_picture_found(tmp_path):
         ("V.Colour", plain, {f"V.Colour.{k}": arrays["X"] for k in "RGB"}),
     ]
     write_parts(tmp_path / "a.exr", [*parts, ("V.Combined", plain, {f"V.Combined.{k}": arrays[k] for k in "RGB"})])
-    layers = pictures.read_exr(tmp_path / "a.exr")
+    layers = exr.read_exr(tmp_path / "a.exr")
     assert list(layers) == ["V.Normal", "V.Colour", "V.Combined"]
     assert np.array_equal(layers["V.Normal"]["V.Normal.Z"], arrays["Z"])
     assert np.array_equal(read_image(tmp_path / "a.exr").numpy(), np.stack([arrays[k] for k in "RGB"], -1))
@@ -191,7 +216,7 @@ def test_half_floats_become_float32(tmp_path):
 @pytest.mark.parametrize("channels", [{}, {"R": torch.zeros(2, 3), "G": torch.zeros(3, 2)}, {"R": torch.zeros(2, 3, 1)}])
 def test_channels_that_make_no_picture_are_refused(tmp_path, channels):
     with pytest.raises(ValueError, match=r"channels \[H, W\] of one size"):
-        pictures.write_exr(tmp_path / "a.exr", channels)
+        exr.write_exr(tmp_path / "a.exr", channels)
 
 
 def exr_bytes(tmp_path):
@@ -371,9 +396,9 @@ def test_no_prefix_of_a_radiance_picture_does_worse_than_an_error():
         assert image.size <= 3 * 10**6
 
 
-def test_a_real_radiance_picture_agrees_with_another_reader(shared_data):
+def test_a_real_radiance_picture_agrees_with_another_reader(real_data):
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
-    path = shared_data / "hdri" / "studio.hdr"
+    path = real_data / "hdri" / "studio.hdr"
     other = np.array(mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32))
     np.testing.assert_array_equal(read_image(path).numpy(), other)

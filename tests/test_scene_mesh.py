@@ -28,12 +28,12 @@ def in_front(distance=3.0, size=(16, 16)):
     ("fields", "message"),
     [
         ({"faces": torch.zeros(0, 3, dtype=torch.int64)}, "no faces"),
-        ({"faces": [[0, 1, 2, 2]]}, r"Mesh.faces: expected shape \[..., 3\]"),
-        ({"vertices": torch.zeros(3, 2)}, r"Mesh.vertices: expected shape \[..., 3\]"),
+        ({"faces": [[0, 1, 2, 2]]}, r"Mesh.faces: expected shape \[..., F, 3\]"),
+        ({"vertices": torch.zeros(3, 2)}, r"Mesh.vertices: expected shape \[..., V, 3\]"),
         ({"vertices": torch.zeros(2, 3, 3)}, "no batch axes"),
-        ({"normals": torch.ones(2, 3)}, "Mesh.normals: expected 3 rows, one for each vertex"),
+        ({"normals": torch.ones(2, 3)}, r"Mesh.normals: expected shape \[..., V, 3\] with V = 3 as in vertices, found \[2, 3\]"),
         ({"uv": torch.ones(4, 2)}, "Mesh.uv: expected 3 rows"),
-        ({"material": [[1], [2]]}, "Mesh.material: expected 1 rows, one for each face"),
+        ({"material": [[1], [2]]}, r"Mesh.material: expected shape \[..., F, 1\] with F = 1 as in faces, found \[2, 1\]"),
         ({"faces": [[0.0, 1.0, 2.0]]}, "ints"),
         ({"uv_faces": [[0, 1, 2]]}, "given without uv"),
     ],
@@ -59,7 +59,7 @@ def test_values_that_cannot_be_a_mesh_are_found_by_from_mesh(fields, message):
 
 
 def test_a_mesh_has_no_batch_axes():
-    with pytest.raises(TypeError, match="no batch axes"):
+    with pytest.raises(TypeError, match="Mesh: has no batch axes to index"):
         sphere(0)[0]
 
 

@@ -14,13 +14,11 @@ from torch.utils import _pytree as pytree
 import torchbrdf as tb
 from torchbrdf import torch_compat
 from torchbrdf.interval import UNIT
-from torchbrdf.scene.raycast import caster_of
 from torchbrdf.testing.compiled import compiles
 from torchbrdf.testing.subject import generator
 from torchbrdf.value import COLOUR, Value, param, value
 
 PACKAGE = Path(tb.__file__).parent
-UP = torch.tensor([[0.0, 0.0, 1.0]])
 
 
 def private_names(source: str) -> list[str]:
@@ -111,30 +109,6 @@ def test_without_pytrees_values_do_what_needs_no_transform(without, monkeypatch,
     v = make_tint()(colour)
     assert all(torch.equal(a, b) for a, b in zip(everyday(v), expected, strict=True))
     assert pytree.tree_leaves(v) == [v], "opaque, as the docstring says"
-
-
-@pytest.mark.parametrize("counts", [True, False])
-def test_a_changed_mesh_is_cast_anew_whether_or_not_torch_counts(monkeypatch, counts):
-    changes = torch_compat.changes
-    if not counts:
-        monkeypatch.setattr(torch_compat, "changes", lambda *tensors: changes(*map(Uncounted, tensors)))
-    mesh = tb.Mesh(torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), torch.tensor([[0, 1, 2]]))
-    ray = torch.tensor([[0.2, 0.2, 1.0]]), -UP
-    first = caster_of(mesh)
-    assert first.first_hit(*ray).tolist() == [0]
-    assert (caster_of(mesh) is first) is counts
-    mesh.vertices.add_(5.0)
-    assert caster_of(mesh).first_hit(*ray).tolist() == [-1]
-
-
-class Uncounted:
-    """A tensor of a torch that does not tell how often it was changed."""
-
-    def __init__(self, t):
-        self.t = t
-
-    def is_inference(self):
-        return self.t.is_inference()
 
 
 def test_without_a_budget_the_backend_is_inductor(without, monkeypatch):

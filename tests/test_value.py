@@ -2,17 +2,23 @@
 
 import copy
 import dataclasses
+import json
 import math
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 from torch.utils import _pytree as pytree
 
 import torchbrdf as tb
 from torchbrdf import arguments
 from torchbrdf.interval import NONNEGATIVE, REAL, UNIT
+from torchbrdf.value import COLOUR, SCALAR, VECTOR, param, value
 
 META = torch.device("meta")
 
@@ -113,35 +119,159 @@ def test_repr():
     assert "meta" not in repr(tb.Lambert(torch.rand(3, device="meta")))
 
 
+# Saved values
+
+
+def written(path, structure, **tensors):
+    """A file that holds ``structure``, whatever it is."""
+    save_file(tensors, path, {"torchbrdf": json.dumps(structure)})
+    return path
+
+
+def reloaded(tmp_path, v):
+    v.save(tmp_path / "v.safetensors")
+    return tb.load_value(tmp_path / "v.safetensors")
+
+
 def test_save_and_load(tmp_path):
     m = mixture(4) + tb.Mirror(0.3)
-    m.save(tmp_path / "m.pt")
-    assert equal(tb.load_value(tmp_path / "m.pt"), m)
-    torch.load(tmp_path / "m.pt", weights_only=True)  # no code in the file
+    assert equal(reloaded(tmp_path, m), m)
+    with safe_open(tmp_path / "v.safetensors", "pt") as file:
+        assert {"terms[0].albedo", "terms[1].inner.fresnel.f0"} < set(file.keys()), "other tools find the tensors by their paths"
+
+
+@value
+class Everything(tb.Value):
+    """One field of every kind."""
+
+    floats: torch.Tensor = param(REAL, VECTOR)
+    integers: torch.Tensor = param(REAL, VECTOR, default=None, kind="int")
+    bools: torch.Tensor = param(REAL, VECTOR, default=None, kind="bool")
+    inner: tb.Value | None = None
+    held: tuple = ()
+    name: str = "grün \n"
+    count: int = 3
+    size: tuple[float, float] = (0.1, math.inf)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16, torch.bfloat16])
+def test_every_dtype_of_floats_is_kept(tmp_path, dtype):
+    again = reloaded(tmp_path, v := Everything(torch.randn(4, 5, 3).to(dtype)))
+    assert again.floats.dtype == dtype
+    assert equal(again, v)
+
+
+@pytest.mark.parametrize("dtype", [torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8])
+def test_every_dtype_of_integers_is_kept(tmp_path, dtype):
+    v = Everything(torch.zeros(0, 4, 3), torch.randint(0, 100, (4, 3), dtype=dtype), torch.rand(4, 3) > 0.5)
+    again = reloaded(tmp_path, v)
+    assert (again.integers.dtype, again.bools.dtype, again.floats.shape) == (dtype, torch.bool, (0, 4, 3))
+    assert equal(again, v)
+
+
+def test_what_holds_the_tensors_is_kept(tmp_path):
+    inner = Everything([1.0, 2.0, 3.0], inner=tb.Lambert(0.5), name="", count=-(2**70))
+    v = Everything(torch.full((3,), math.nan), inner=inner, held=(1, None, (True, 2.5), inner, (tb.Schlick(0.04), "x")))
+    again = reloaded(tmp_path, v)
+    assert repr(again) == repr(v)
+    assert pytree.tree_structure(again) == pytree.tree_structure(v)
+
+
+def test_a_header_whose_length_begins_like_a_pickle_is_read(tmp_path):
+    """The file begins with the length of its header, and 640 is 0x0280."""
+    seen = set()
+    for count in range(0, 800, 4):
+        v = Everything([1.0, 2.0, 3.0], name="x" * count)
+        assert reloaded(tmp_path, v).name == v.name
+        seen.add((tmp_path / "v.safetensors").read_bytes()[:2])
+    assert seen & {b"\x80\x02", b"\x80\x03", b"\x80\x04"}
+
+
+@pytest.mark.parametrize("batch", [(), (4,), (4, 5)])
+def test_planar_tensors_stay_planar(tmp_path, batch):
+    for v in (tb.Lambert(tb.planar(torch.rand(*batch, 3))), tb.Lambert(torch.rand(*batch, 3))):
+        again = reloaded(tmp_path, v)
+        assert equal(again, v)
+        assert again.albedo.stride() == v.albedo.stride()
+
+
+def test_strided_and_shared_tensors_are_saved_right(tmp_path):
+    whole = torch.rand(6, 8, 3)
+    for albedo in (whole[::2, 1::3], whole.transpose(0, 1), whole[0, :1].expand(7, 3), whole.flip(-1), whole.requires_grad_()):
+        assert equal(
+            reloaded(tmp_path, tb.Lambert(albedo) + tb.Lambert(whole[:1, :1])), (tb.Lambert(albedo) + tb.Lambert(whole[:1, :1])).detach()
+        )
+
+
+def test_a_tensor_in_two_places_is_stored_once(tmp_path):
+    shared = torch.rand(1000, 3)
+    again = reloaded(tmp_path, tb.Lambert(shared) + tb.Phong(shared, 5.0))
+    assert (tmp_path / "v.safetensors").stat().st_size < 1.2 * shared.nbytes
+    assert again.terms[0].albedo.data_ptr() == again.terms[1].specular.data_ptr()
+
+
+def test_a_loaded_value_is_no_window_on_its_file(tmp_path):
+    first = reloaded(tmp_path, v := tb.Lambert(torch.rand(1000, 3)))
+    with (tmp_path / "v.safetensors").open("r+b") as file:
+        file.seek(-4000, os.SEEK_END)
+        file.write(bytes(4000))
+    assert equal(first, v)
+    first.save(tmp_path / "v.safetensors")  # over the file that it came from
+    assert equal(tb.load_value(tmp_path / "v.safetensors"), v)
 
 
 def test_load_in_a_fresh_process(tmp_path):
     """The names in a file are found although nothing has imported them yet."""
-    mixture(4).save(tmp_path / "m.pt")
-    code = f"import torchbrdf as tb; print(tb.load_value({str(tmp_path / 'm.pt')!r}))"
+    mixture(4).save(tmp_path / "m.safetensors")
+    code = f"import torchbrdf as tb; print(tb.load_value({str(tmp_path / 'm.safetensors')!r}))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.startswith("Sum(terms=(Lambert")
 
 
 def test_load_refuses(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
-        tb.load_value(tmp_path / "absent.pt")
-    (tmp_path / "text.pt").write_text("hello")
-    with pytest.raises(ValueError, match="is not a saved torchbrdf value"):
-        tb.load_value(tmp_path / "text.pt")
-    torch.save({"value": "Unknown", "fields": {}}, tmp_path / "unknown.pt")
-    with pytest.raises(ValueError, match="found 'Unknown'"):
-        tb.load_value(tmp_path / "unknown.pt")
-    torch.save({"value": "Lambert", "fields": {"colour": torch.ones(3)}}, tmp_path / "newer.pt")
-    with pytest.raises(ValueError, match="does not fit this version"):
-        tb.load_value(tmp_path / "newer.pt")
-    torch.save([1, 2], tmp_path / "list.pt")
-    with pytest.raises(ValueError, match="found 'list'"):
-        tb.load_value(tmp_path / "list.pt")
+        tb.load_value(tmp_path / "absent.safetensors")
+    (tmp_path / "a").write_text("hello")
+    with pytest.raises(ValueError, match="a is not a saved torchbrdf value"):
+        tb.load_value(tmp_path / "a")
+    albedo = {"$tensor": "albedo", "planar": False}
+    for structure, why in {
+        "unknown": ({"value": "torchbrdf.Unknown", "fields": {}}, "found 'torchbrdf.Unknown'"),
+        "list": ([1, 2], "found 'list'"),
+        "a field that we lack": (
+            {"value": "torchbrdf.Lambert", "fields": {"albedo": albedo, "colour": 1}},
+            "does not fit this version.*'colour'",
+        ),
+        "a field that it lacks": ({"value": "torchbrdf.Lambert", "fields": {}}, "does not fit this version.*'albedo'"),
+        "a tensor that it lacks": (
+            {"value": "torchbrdf.Lambert", "fields": {"albedo": {"$tensor": "x", "planar": False}}},
+            "KeyError: 'x'",
+        ),
+    }.values():
+        with pytest.raises(ValueError, match=why):
+            tb.load_value(written(tmp_path / "a", structure, albedo=torch.ones(3)))
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_what_no_range_describes_is_checked_on_loading(tmp_path, inside):
+    mesh = {"value": "torchbrdf.Mesh", "fields": {"vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "faces": [[0, 1, 3]]}}
+    holder = {"value": f"{__name__}.Everything", "fields": {"floats": [1, 2, 3], "held": [1, mesh]}}
+    with pytest.raises(ValueError, match=r"Mesh\.faces: legal are 0 to 2"):
+        tb.load_value(written(tmp_path / "a", holder if inside else mesh))
+
+
+@pytest.mark.parametrize(
+    ("held", "what"),
+    [
+        ({"a": 1}, "Everything: a dictionary cannot be saved"),
+        ((1, {2}), "found set"),
+        ((torch.float32,), "found dtype"),
+        ((1j,), "found complex"),
+    ],
+)
+def test_what_is_no_plain_data_is_not_saved(tmp_path, held, what):
+    with pytest.raises(TypeError, match=what):
+        Everything([1.0, 2.0, 3.0], held=held).save(tmp_path / "a")
+    assert not (tmp_path / "a").exists()
 
 
 class Bomb:
@@ -149,11 +279,65 @@ class Bomb:
         return (print, ("code from the file ran",))
 
 
-def test_load_runs_no_code(tmp_path, capsys):
-    torch.save({"value": "Lambert", "fields": {"albedo": Bomb()}}, tmp_path / "bomb.pt")
-    with pytest.raises(ValueError, match="is not a saved torchbrdf value"):
+def test_load_reads_no_pickle(tmp_path, capsys):
+    torch.save({"value": "torchbrdf.Lambert", "fields": {"albedo": Bomb()}}, tmp_path / "bomb.pt")
+    with pytest.raises(ValueError, match=r"bomb.pt is not a saved torchbrdf value: it is a pickle"):
         tb.load_value(tmp_path / "bomb.pt")
     assert capsys.readouterr().out == ""
+
+
+# Names of classes
+
+
+def test_a_class_named_like_ours_is_not_taken_for_it(tmp_path):
+    ours = tb.Phong(0.25, 5.0)
+    ours.save(tmp_path / "ours")
+
+    @value
+    class Phong(tb.Value):
+        """Has the name and the fields of ours."""
+
+        specular: torch.Tensor = param(UNIT, COLOUR)
+        exponent: torch.Tensor = param(NONNEGATIVE, SCALAR)
+        fresnel: tb.Value | None = None
+        normalization: str = "modified"
+
+    Phong(0.5, 2.0).save(tmp_path / "mine")
+    assert type(tb.load_value(tmp_path / "ours")) is tb.Phong
+    assert type(tb.load_value(tmp_path / "mine")) is Phong
+    assert equal(pytree.treespec_loads(pytree.treespec_dumps(pytree.tree_structure(ours))).unflatten(pytree.tree_leaves(ours)), ours)
+
+
+MINE = """
+import torchbrdf as tb
+from torchbrdf.interval import UNIT
+from torchbrdf.value import COLOUR, param, value
+
+@value
+class Mine(tb.Value):
+    albedo: object = param(UNIT, COLOUR)
+
+if __name__ == "__main__":
+    Mine(0.25).save("mine")
+"""
+
+
+def test_what_a_script_saved_is_found_in_the_module_it_is_elsewhere(tmp_path):
+    for name in ("train", "other"):
+        (tmp_path / f"{name}.py").write_text(MINE)
+    (tmp_path / "like_ours.py").write_text(MINE.replace("Mine", "Lambert").replace("mine", "like_ours"))
+
+    def run(*arguments):
+        path = {**os.environ, "PYTHONPATH": os.pathsep.join((str(Path(tb.__file__).parents[1]), str(tmp_path)))}
+        return subprocess.run([sys.executable, *arguments], cwd=tmp_path, env=path, capture_output=True, text=True)
+
+    assert run("train.py").returncode == 0
+    assert run("like_ours.py").returncode == 0
+    assert "found '__main__.Lambert'" in run("-c", "import torchbrdf as tb; tb.Lambert; tb.load_value('like_ours')").stderr
+    load = "import torchbrdf as tb; v = tb.load_value('mine'); print(type(v).__module__, v)"
+    assert run("-c", f"import train; {load}").stdout.startswith("train Mine(albedo=[0.25])")
+    assert "found '__main__.Mine' for a value; import the module that defines it first" in run("-c", load).stderr
+    assert "found '__main__.Mine' for a value" in run("-c", f"import train, other; {load}").stderr, "which of the two is not guessed"
 
 
 def test_pytree():

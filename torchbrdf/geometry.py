@@ -58,6 +58,10 @@ class Layout(NamedTuple):
         # Not unbind(-1), whose derivative is interleaved memory.
         return (p,) if self.wide else p.movedim(-1, 0).unbind(0) if p.dim() > 1 else p.unbind(0)
 
+    def rows(self, parameter: Tensor, event: int) -> tuple[Tensor, ...]:
+        """A parameter whose last ``event`` axes are one parameter, ``[..., K, *rest]``, as K parameters ``[..., *rest]``."""
+        return parameter.movedim(-event, 0).unbind(0)
+
     def scalar(self, parameter: Tensor) -> Tensor:
         """A parameter ``[..., 1]`` as a number."""
         p = self.follow(parameter, apart=not self.wide)
@@ -170,10 +174,11 @@ class Viewer:
 
     @memo
     def facing(self) -> "Viewer":
-        """The same viewer of the surface turned to it; in the local frame, both mirrored at the surface."""
+        """The same viewer of the surface turned to it; in the local frame, both mirrored at the surface. Tangent and bitangent stay."""
         if self.is_local:
             return Viewer(Vec(self.wo.x, self.wo.y, self.wo.z * self.side), layout=self.layout)
-        return Viewer(self.wo, scale(self.n, self.side), self.tangent, self.handedness, self.layout)
+        handedness = self.side if self.handedness is None else self.handedness * self.side
+        return Viewer(self.wo, scale(self.n, self.side), self.tangent, handedness, self.layout)
 
 
 class Geometry:
@@ -286,7 +291,7 @@ class Geometry:
         return 0.5 * dot(d, d)
 
     def half_across(self, eta: Tensor) -> Vec:
-        """The half vector of refraction, wi + eta wo for ``eta`` = n(side of wo) / n(side of wi), not unit (Walter et al. 2007, eq. 16)."""
+        """wi + eta wo for ``eta`` = n(side of wo) / n(side of wi): the half vector of refraction, any length (Walter et al. 2007)."""
         return add(self.wi, scale(self.wo, eta))
 
 

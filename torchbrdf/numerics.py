@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 HALF_TYPES = (torch.float16, torch.bfloat16)
+TEXT_DIGITS = math.sqrt(torch.finfo(torch.float32).eps)  # half the digits of float32, as matrices and vectors have them in text files
 
 
 def tiny(dtype: torch.dtype) -> float:
@@ -70,13 +71,13 @@ def unit_interval(x: Tensor) -> Tensor:
     return torch.where(x < 0, 0.0, torch.where(x > 1, 1.0, x))
 
 
-def at_most_one(x: Tensor) -> Tensor:
-    """``min(x, 1)`` for a value that exceeds 1 only by rounding: the excess is taken off, the gradient always passes."""
-    return x - torch.relu(x.detach() - 1.0)
+def at_most(x: Tensor, most: float) -> Tensor:
+    """``min(x, most)`` for a value that exceeds it only by rounding: the excess is taken off, the gradient always passes."""
+    return x - torch.relu(x.detach() - most)
 
 
 def at_least(x: Tensor, least: float) -> Tensor:
-    """``max(x, least)`` for a value that falls below only by rounding, as :func:`at_most_one`."""
+    """``max(x, least)`` for a value that falls below only by rounding, as :func:`at_most`."""
     return x + torch.relu(least - x.detach())
 
 

@@ -2,7 +2,7 @@
 
 ``shade`` is plan, prepare and run in one call. Deciding happens at construction, from the kinds of lobes, lights and geometry alone and
 never from data inside a graph, so a planned shader compiles to one full graph. A lobe that no effect serves (a mirror under
-point lights) is left out, and its parameters get no gradient.
+point lights) is left out, and its parameters get gradient 0.
 """
 
 import warnings
@@ -95,7 +95,16 @@ class Plan:
                 parts += effect.run(part, surface, rows.rows_of(sources, effect.lights), prepared)
         count = sum(map(len, sources))
         image = rows.apart(parts, surface, channels, count) if per_light else rows.summed(parts, surface, channels)
-        return image.to(g.position.dtype)
+        return self._with_unserved(image, bsdf).to(g.position.dtype)
+
+    def _with_unserved(self, image: Tensor, bsdf: Bsdf) -> Tensor:
+        """The same image, with gradient 0 by parameters of lobes that no effect serves: DistributedDataParallel asks for every gradient."""
+        unserved = [lobe for lobe in self.lobes if not any(e.serves(lobe, kind) for e in self.effects for kind in self.lights)]
+        for part in filter(None, map(bsdf.select, unserved)):
+            for _, t in part.named_tensors():
+                if t.requires_grad:
+                    image = image + t.reshape(-1)[:0].sum()  # of no numbers: exactly 0, whatever t holds
+        return image
 
     def _check_kinds(self, bsdf: Bsdf, lights: Sequence[Light]) -> None:
         """A plan answers for the kinds it was made for; others would be left out without a word."""
@@ -166,12 +175,13 @@ def shade(
     visibility: Tensor | None = None,
     per_light: bool = False,
     generator: torch.Generator | None = None,
+    tolerance: float | None = None,
     effects: Sequence[Effect] = (),
     **wishes: str,
 ) -> Tensor:
     """Radiance ``[..., H, W, C]`` of a G-buffer: :func:`plan`, prepare and run in one call. ``mesh=`` lets that mesh cast shadows."""
     sources = check.as_list(lights)
-    found = plan(g, bsdf, sources, mesh, visibility=visibility, effects=effects, **wishes)
+    found = plan(g, bsdf, sources, mesh, tolerance, visibility=visibility, effects=effects, **wishes)
     prepared = found.prepare(g, sources, mesh, visibility, generator)
     return Plan.__call__(found, g, bsdf, sources, prepared, per_light=per_light)  # torch to 2.8 hashes what it calls, before it is whole
 
@@ -188,7 +198,7 @@ def _each_once(found: Sequence[Any]) -> tuple[Any, ...]:
 def _refuse_unserved(lobes: Sequence[Lobe], kinds: Sequence[LightKind], effects: Sequence[Effect]) -> None:
     """A lobe under a light that no effect brings together would be dark without a word. (Deltas meet deltas with probability 0.)"""
     for kind in kinds:
-        missed = [l.label for l in lobes if not (l.is_delta and kind is LightKind.DELTA) and not any(e.serves(l, kind) for e in effects)]
+        missed = [m.label for m in lobes if not (m.is_delta and kind is LightKind.DELTA) and not any(e.serves(m, kind) for e in effects)]
         if missed and kind is LightKind.INFINITE:
             raise ValueError(
                 f"lights: in this version an EnvironmentMap lights mirror lobes alone, and the material has {', '.join(missed)}; shade the "

@@ -12,20 +12,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor
 
 ABSENT = (ImportError, AttributeError, TypeError)  # a name that is gone, or takes other arguments than it did
-
-
-def changes(*tensors: Tensor) -> tuple[int, ...]:
-    """How often each tensor was changed in place.
-
-    Empty where torch does not count (inference mode). Without the private name: empty, too.
-    """
-    try:
-        return () if any(t.is_inference() for t in tensors) else tuple(t._version for t in tensors)
-    except ABSENT:
-        return ()
 
 
 def register_node(
@@ -33,8 +21,10 @@ def register_node(
     flatten: Callable[[Any], tuple[list[Any], Any]],
     unflatten: Callable[[Any, Any], Any],
     names: Callable[[Any], Sequence[str]],
+    saved_as: str,
 ) -> None:
-    """Let ``torch.func``, ``torch.compile`` and ``torch.export`` see through ``cls``; ``names`` are those of its children.
+    """Let ``torch.func``, ``torch.compile`` and ``torch.export`` see through ``cls``; ``names`` are those of its children,
+    ``saved_as`` what exported programs call it.
 
     Where torch takes no names: without them. Without the private module: not at all; such values are opaque to transforms, and
     everything else works.
@@ -51,7 +41,7 @@ def register_node(
         return [(key(name), child) for name, child in zip(names(v), children, strict=True)], context
 
     try:
-        register(cls, flatten, unflatten, flatten_with_keys_fn=flatten_with_keys, serialized_type_name=f"torchbrdf.{cls.__name__}")
+        register(cls, flatten, unflatten, flatten_with_keys_fn=flatten_with_keys, serialized_type_name=saved_as)
     except TypeError:
         register(cls, flatten, unflatten)
 

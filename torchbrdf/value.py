@@ -1,13 +1,11 @@
 """Values: frozen dataclasses of tensors that autograd, ``torch.compile``, ``vmap`` and ``functional_call`` see through.
 
-A field declared with :func:`param` states once what it is: its legal range and its trailing size. That one declaration
-serves validation, draws in tests, unconstrained optimisation and the docs table. Numbers and lists become CPU float64
+Fields are declared with :func:`~torchbrdf.declaration.param`, which the decorator ``value`` reads. Numbers and lists become CPU float64
 tensors; taken apart inside a formula they are 0-dimensional, and torch lets those follow the dtype and device of the
 shading points. Parameters with batch axes must match the points themselves.
 """
 
 import dataclasses
-import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
@@ -15,56 +13,14 @@ from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 import torch
 from torch import Tensor
 
-from . import arguments, files, saved, torch_compat
-from .interval import Interval
+from . import arguments, torch_compat
+from .declaration import COLOUR, PAIR, SCALAR, VECTOR, Param, param
+from .io import files, saved
+
+__all__ = ["COLOUR", "PAIR", "SCALAR", "VALUES", "VECTOR", "Param", "Value", "param", "validate", "value"]
 
 T = TypeVar("T")
 VALUES: dict[str, type["Value"]] = {}
-
-
-@dataclasses.dataclass(frozen=True)
-class Param:
-    """What :func:`param` declares. ``event`` is the shape of one parameter, the axes behind the batch axes."""
-
-    constraint: Interval
-    event: tuple[int | str, ...]
-    doc: str = ""
-    kind: str = "float"  # "float", "int" or "bool"
-
-    @property
-    def size(self) -> int | None:
-        """The trailing size; None for a colour ``C``."""
-        return None if isinstance(self.event[-1], str) else self.event[-1]
-
-
-SCALAR, PAIR, VECTOR, COLOUR = (1,), (2,), (3,), ("C",)  # the usual shapes of one parameter
-
-
-def param(
-    constraint: Interval, event: tuple[int | str, ...], doc: str = "", default: Any = dataclasses.MISSING, kind: str = "float"
-) -> Any:
-    """A tensor field ``[..., *event]`` that must lie in ``constraint``; a name in ``event`` stands for any size, ``COLOUR`` is ``("C",)``."""
-    return dataclasses.field(default=default, metadata={"param": Param(constraint, event, doc, kind)})
-
-
-def _to_tensor(x: Any, where: str, kind: str) -> Tensor:
-    try:
-        t = x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=None if hasattr(x, "dtype") or kind != "float" else torch.float64)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise TypeError(f"{where}: expected a number, list, array or tensor, found {type(x).__name__} ({error})") from None
-    if t.dtype not in _LEGAL[kind]:
-        raise TypeError(f"{where}: expected a tensor of {kind}s, found {t.dtype}; convert it, for example with .to({_EXAMPLE[kind]})")
-    if t.layout != torch.strided:
-        raise TypeError(f"{where}: expected a dense tensor, found one of layout {t.layout}; convert it with .to_dense()")
-    return t.reshape(1) if t.dim() == 0 else t
-
-
-_LEGAL = {
-    "float": arguments.FLOATS,
-    "int": (torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8),
-    "bool": (torch.bool,),
-}
-_EXAMPLE = {"float": "torch.float32", "int": "torch.int64", "bool": "torch.bool"}
 
 
 def has_tensors(x: Any) -> bool:
@@ -89,20 +45,25 @@ class Value:
                 raise TypeError(f"{where}: expected a number, list, array or tensor, found None")
             if raw is None:
                 continue
-            tensor = _to_tensor(raw, where, spec.kind)
-            if spec.size is not None and tensor.shape[-1] != spec.size:
-                raise ValueError(f"{where}: expected shape [..., {spec.size}], found {list(tensor.shape)}{_shape_hint(tensor, spec)}")
-            if not tensor.shape[-1]:
-                raise ValueError(f"{where}: expected shape [..., C] with one channel at least, found {list(tensor.shape)}")
-            object.__setattr__(self, name, tensor)
+            object.__setattr__(self, name, spec.tensor(raw, where))
         self.check_shapes()
 
     def check_shapes(self) -> None:
-        """Channels must agree (or be 1), and batch axes must broadcast."""
-        channels = {n: t.shape[-1] for n, t, s in self.own_tensors() if s.size is None and t.shape[-1] != 1}
+        """Channels must agree (or be 1), axes of one name must have one size, and batch axes must broadcast."""
+        channels = {n: t.shape[-1] for n, t, s in self.own_tensors() if s.is_colour and t.shape[-1] != 1}
         if len(set(channels.values())) > 1:
             raise ValueError(f"{type(self).__name__}: colour parameters have different numbers of channels: {channels}; use one C, or 1")
-        arguments.broadcast({n: tuple(t.shape[:-1]) for n, t, _ in self.own_tensors()}, f"{type(self).__name__}: batch shapes")
+        self._check_named_axes()
+        arguments.broadcast({n: tuple(s.batch(t)) for n, t, s in self.own_tensors()}, f"{type(self).__name__}: batch shapes")
+
+    def _check_named_axes(self) -> None:
+        first: dict[str, tuple[int, str]] = {}
+        for name, t, spec in self.own_tensors():
+            for axis, size in zip(spec.event, t.shape[-len(spec.event) :], strict=True):
+                if isinstance(axis, str) and axis != "C" and first.setdefault(axis, (size, name))[0] != size:
+                    expected, other = first[axis]
+                    where = f"{type(self).__name__}.{name}"
+                    raise ValueError(f"{where}: expected shape {spec.shape} with {axis} = {expected} as in {other}, found {list(t.shape)}")
 
     def check(self) -> None:
         """Look at values that no range describes, such as a mesh's indices; nothing, unless a value says otherwise."""
@@ -118,6 +79,11 @@ class Value:
             if isinstance(getattr(self, name), Tensor):
                 yield name, getattr(self, name), spec
 
+    @property
+    def own_channels(self) -> int:
+        """C of the value's own colours, nested ones apart; 1 if it has none."""
+        return max([1, *(t.shape[-1] for _, t, s in self.own_tensors() if s.is_colour)])
+
     def nested(self) -> Iterator["Value"]:
         """The values that this value holds."""
         for held in [getattr(self, name) for name in self._fields]:
@@ -125,14 +91,19 @@ class Value:
 
     @property
     def batch_shape(self) -> torch.Size:
-        """Broadcast shape of all batch axes (everything but the trailing axis)."""
-        shapes = {n: t.shape[:-1] for n, t, _ in self.own_tensors()}
+        """Broadcast shape of all batch axes, those before the shape of one parameter."""
+        shapes = {n: s.batch(t) for n, t, s in self.own_tensors()}
         nested = {f"{k} {type(v).__name__}": v.batch_shape for k, v in enumerate(self.nested())}
         return arguments.broadcast(shapes | nested, f"{type(self).__name__}: batch shapes")
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some fields changed."""
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+
+    def named_tensors(self) -> Iterator[tuple[str, Tensor]]:
+        """(path, tensor) of every tensor here and in what this value holds, such as ``terms[0].albedo``."""
+        for name in self._fields:
+            yield from _tensors_in(getattr(self, name), name)
 
     def map(self, fn: Callable[[Tensor], Tensor]) -> Self:
         """A copy with ``fn`` applied to every tensor."""
@@ -157,39 +128,51 @@ class Value:
 
     def __getitem__(self, index: Any) -> Self:
         """Index the batch axes, those of nested values along with them; what has no batch axes stays."""
-        return self._index(index, self.batch_shape)
+        batch, where = self.batch_shape, index if isinstance(index, tuple) else (index,)
+        if not batch and any(i is not Ellipsis for i in where):
+            raise TypeError(f"{type(self).__name__}: has no batch axes to index or to go through one by one")
+        return self._index(where, batch)
 
-    def _index(self, index: Any, batch: torch.Size) -> Self:
-        where = index if isinstance(index, tuple) else (index,)
-        where = (*where, slice(None)) if any(i is Ellipsis for i in where) else (*where, ..., slice(None))
+    def _index(self, index: tuple[Any, ...], batch: torch.Size) -> Self:
+        rest = () if any(i is Ellipsis for i in index) else (...,)
 
-        def pick(x: Any) -> Any:
+        def pick(x: Any, event: int = 1) -> Any:
             if isinstance(x, Tensor):
-                return x.expand(*batch, x.shape[-1])[where] if x.dim() > 1 else x
+                own = x.shape[x.dim() - event :]
+                return x.expand(*batch, *own)[(*index, *rest, *[slice(None)] * event)] if x.dim() > event else x
             return x._index(index, batch) if isinstance(x, Value) else tuple(map(pick, x)) if isinstance(x, tuple) else x
 
-        return _rebuild(type(self), {n: pick(getattr(self, n)) for n in self._fields})
+        specs = self.params()
+        return _rebuild(type(self), {n: pick(getattr(self, n), len(specs[n].event) if n in specs else 1) for n in self._fields})
 
     def __repr__(self) -> str:
         shown = ((n, getattr(self, n)) for n in self._fields)
         return f"{type(self).__name__}({', '.join(f'{n}={_brief(v)}' for n, v in shown if v is not None)})"
 
     def state(self) -> dict[str, Any]:
-        """Plain dictionaries and tensors, from which :func:`from_state` makes the value again."""
+        """Plain dictionaries and tensors, from which ``load_value`` makes the value again."""
 
         def plain(x: Any) -> Any:
-            return x.state() if isinstance(x, Value) else [plain(v) for v in x] if isinstance(x, tuple) else x
+            if isinstance(x, dict):
+                raise TypeError(f"{type(self).__name__}: a dictionary cannot be saved; make it a value")
+            return x.state() if isinstance(x, Value) else [plain(v) for v in x] if isinstance(x, tuple | list) else x
 
-        return {"value": type(self).__name__, "fields": {n: plain(getattr(self, n)) for n in self._fields}}
+        return {"value": _name(type(self)), "fields": {n: plain(getattr(self, n)) for n in self._fields}}
 
     def save(self, path: str | Path) -> None:
-        """Write to a file that :func:`load_value` reads (tensors and plain data only; no code)."""
+        """Write a safetensors file that ``load_value`` reads: tensors and plain data, by whatever name ``path`` gives it."""
         files.folder_of(path, "save")
-        torch.save(self.detach().state(), path)
+        saved.write(path, self)
 
 
-def _shape_hint(t: Tensor, spec: Param) -> str:
-    return f"; did you mean x.unsqueeze(-1) -> {[*t.shape, 1]}?" if spec.size == 1 else ""
+def _tensors_in(held: Any, path: str) -> Iterator[tuple[str, Tensor]]:
+    if isinstance(held, Tensor):
+        yield path, held
+    elif isinstance(held, Value):
+        yield from ((f"{path}.{inner}", t) for inner, t in held.named_tensors())
+    elif isinstance(held, tuple | list):
+        for k, one in enumerate(held):
+            yield from _tensors_in(one, f"{path}[{k}]")
 
 
 def _brief(v: Any) -> str:
@@ -232,52 +215,16 @@ def value(cls: type[T]) -> type[T]:
         _flatten,
         lambda children, context: _rebuild(made, {**dict(zip(context[0], children, strict=True)), **dict(context[1])}),
         names=lambda v: _flatten(v)[1][0],
+        saved_as=_name(made),
     )
-    VALUES[cls.__name__] = made
+    VALUES[_name(made)] = made
     return made
 
 
-def _known(name: Any) -> type[Value] | None:
-    """The value of that name; those of the public face are imported when a file first speaks of them."""
-    if isinstance(name, str) and name not in VALUES:
-        getattr(importlib.import_module(__package__), name, None)
-    return VALUES.get(name) if isinstance(name, str) else None
-
-
-def from_state(state: Any) -> Value:
-    """The value that :meth:`Value.state` described."""
-    kind = _known(state.get("value")) if isinstance(state, dict) and isinstance(state.get("fields"), dict) else None
-    if kind is None:
-        found = state.get("value") if isinstance(state, dict) else type(state).__name__
-        raise ValueError(f"found {_short(found)} for a value; import the module that defines it first, if it is your own")
-
-    def build(x: Any) -> Any:
-        return from_state(x) if isinstance(x, dict) else tuple(build(v) for v in x) if isinstance(x, list) else x
-
-    try:
-        return kind(**{str(n): build(x) for n, x in state["fields"].items()})
-    except TypeError as error:
-        raise ValueError(f"saved {state['value']} does not fit this version: {error}") from None
-
-
-def _short(x: Any) -> str:
-    shown = repr(x) if isinstance(x, str | int | None) else type(x).__name__
-    return shown if len(shown) <= 60 else f"{shown[:60]}..."
-
-
-def load_value(path: str | Path) -> Value:
-    """Read a value that :meth:`Value.save` wrote. Runs no code from the file, and makes nothing but registered values.
-
-    A missing file raises ``FileNotFoundError``, anything else that is wrong with it ``ValueError``, each naming the file.
-    Shapes and dtypes are checked, ranges are not (:func:`validate` does that).
-    """
-    path = files.existing(path, "load_value")
-    try:
-        loaded = from_state(saved.read(path))
-        loaded.check()
-        return loaded
-    except Exception as error:
-        raise ValueError(f"load_value: {path} is not a saved torchbrdf value: {files.reason(error)}") from None
+def _name(cls: type) -> str:
+    """What a saved value is known by: ``torchbrdf.Phong``, wherever ours stands in the package; others with their module."""
+    ours = cls.__module__.partition(".")[0] == __package__
+    return f"{__package__ if ours else cls.__module__}.{cls.__qualname__}"
 
 
 def validate(v: Value, _path: str = "") -> None:
@@ -287,20 +234,8 @@ def validate(v: Value, _path: str = "") -> None:
     v.check()
     for name, tensor, spec in v.own_tensors():
         if tensor.numel() and spec.kind == "float" and not arguments.hidden(tensor):
-            _check_range(f"{path}.{name}", tensor.detach(), spec.constraint)
+            wrong = spec.constraint.complaint(tensor.detach())
+            if wrong:
+                raise ValueError(f"{path}.{name} {list(tensor.shape)}: {wrong}; {spec.constraint.remedy}")
     for inner in v.nested():
         validate(inner, f"{path} > {type(inner).__name__}")
-
-
-def _check_range(where: str, t: Tensor, legal: Interval) -> None:
-    low, high = (float(x) for x in torch.aminmax(t))
-    ends = torch.tensor([low, high], dtype=torch.float64)
-    if bool(legal.contains(ends).all()):
-        return
-    bad = ~legal.contains(t)
-    count, first = int(bad.sum()), float(t[bad][0])
-    raise ValueError(
-        f"{where} {list(t.shape)}: legal range {legal}, found {first:g}"
-        + (f" and {count - 1} more" if count > 1 else "")
-        + f" (min {low:g}, max {high:g}); clamp or re-parametrise it (tb.nn.Learned keeps a learned parameter legal)"
-    )

@@ -16,7 +16,7 @@ from .sampler import has_spread, inverse_density
 CHUNK = 1 << 20  # directions computed at a time: tens of megabytes for each figure of a formula
 
 
-def albedo(bsdf: Bsdf, viewer: Viewer, order: int) -> Channels:
+def quadrature_albedo(bsdf: Bsdf, viewer: Viewer, order: int) -> Channels:
     """Power fraction per channel of light arriving along ``viewer.wo`` that leaves again."""
     parts = [_of_delta(bsdf, viewer, delta) for delta in bsdf.deltas(viewer)]
     if has_spread(bsdf):

@@ -1,14 +1,15 @@
 """Models made of models: ``a + b`` and ``scale * a``.
 
-A sum adds the lobes; they share one :class:`~torchbrdf.geometry.Geometry`. It samples one of its terms, chosen in proportion to a
-cheap estimate of what each reflects (``strength``), and its pdf is that mixture's. A scaled model multiplies by a colour ``[..., C]`` >= 0.
+A sum adds the lobes, and their directional albedos; they share one :class:`~torchbrdf.geometry.Geometry`. It samples one of its
+terms, chosen in proportion to a cheap estimate of what each reflects (``strength``), and its pdf is that mixture's. A scaled model
+multiplies by a colour ``[..., C]`` >= 0.
 """
 
 import torch
 from torch import Tensor
 
-from .. import arguments, numerics, parameters
-from ..geometry import Channels, Geometry, Layout, Viewer, each
+from .. import parameters
+from ..geometry import Channels, Geometry, Viewer, each
 from ..interval import Interval
 from ..sampling import choose
 from ..value import COLOUR, param, value
@@ -94,10 +95,12 @@ class Sum(Bsdf):
     def deltas(self, viewer: Viewer) -> list[Delta]:
         return [d._replace(lobe=d.lobe + self._first_lobe(t)) for t in self.terms for d in t.deltas(viewer)]
 
-    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
         """The sum of the terms' albedos."""
-        parts = [t.directional_albedo(w, n, tangent, order=order) for t in self.terms]
-        return sum(parts[1:], parts[0])
+        total = self.terms[0].albedo_at(viewer, order)
+        for t in self.terms[1:]:
+            total = each(torch.add, total, t.albedo_at(viewer, order))
+        return total
 
     def _spread(self) -> list[Bsdf]:
         return [t for t in self.terms if has_spread(t)]
@@ -163,11 +166,9 @@ class Scaled(Bsdf):
     def deltas(self, viewer: Viewer) -> list[Delta]:
         return [d._replace(weight=each(torch.mul, d.weight, viewer.colour(self.factor))) for d in self.inner.deltas(viewer)]
 
-    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
         """``factor`` times the inner albedo."""
-        parameters.check(self, arguments.floats(w, "w", 3), "w")
-        inner = numerics.widen(self.inner.directional_albedo(w, n, tangent, order=order))
-        return (inner * Layout.beside(w).follow(self.factor)).to(w.dtype)
+        return each(torch.mul, self.inner.albedo_at(viewer, order), viewer.colour(self.factor))
 
 
 def _inside(term: Bsdf, g: Geometry, terms: tuple[Bsdf, ...]) -> Channels:

@@ -47,11 +47,10 @@ class Lambert(Bsdf):
     def draw(self, viewer: Viewer, u: Vec) -> Draw:
         return Draw(sampling.cosine_hemisphere(u.x, u.y))
 
-    def directional_albedo(self, w: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, order: int = 48) -> Tensor:
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
         """``albedo`` above the horizon, exactly."""
-        v = self.viewer(w, n, tangent)
-        above = (v.cos_o > 0).to(v.cos_o.dtype)
-        return v.layout.join([a * above for a in v.colour(self.albedo)]).to(w.dtype)
+        above = (viewer.cos_o > 0).to(viewer.cos_o.dtype)
+        return tuple(a * above for a in viewer.colour(self.albedo))
 
     @property
     def energy_bound(self) -> Tensor:

@@ -1,9 +1,17 @@
 r"""A surface that reflects on both sides.
 
-.. math:: f(\omega_i, \omega_o) = \begin{cases} f_{outside} & \cos\theta_i, \cos\theta_o > 0 \\ f_{inside} & \cos\theta_i, \cos\theta_o < 0 \end{cases}
+.. math:: f = \begin{cases} f_{outside} & \cos\theta_i, \cos\theta_o > 0 \\ f_{inside} & \cos\theta_i, \cos\theta_o < 0 \end{cases}
+
+=========  ==============  =======================================================
+parameter  unit, range     meaning
+=========  ==============  =======================================================
+inside     a BSDF          behind the surface, where n.wo < 0
+outside    a BSDF or None  on the side of the normal; None: the same model as inside
+=========  ==============  =======================================================
 
 Each model sees the surface turned to the viewer. ``TwoSided(model)`` looks the same from both sides. (A model without this is black
-from behind.) Smooth where the models are; nothing passes through the surface.
+from behind.) Directional albedo: that of the model of the side. Smooth where the models are; nothing passes through the surface.
+Source: the ``twosided`` adapter of Mitsuba (Jakob 2010).
 
 >>> import torch, torchbrdf as tb
 >>> down = torch.tensor([0.0, 0.0, -1.0])
@@ -58,9 +66,10 @@ class TwoSided(Bsdf):
 
     def select(self, wanted: Lobe) -> Bsdf | None:
         kept = [s.select(wanted) for s in self.sides]
-        if all(k is None for k in kept):
+        found = [k for k in kept if k is not None]
+        if not found:
             return None
-        return TwoSided(*(k if k is not None else 0.0 * s for k, s in zip(kept, self.sides, strict=True)))
+        return TwoSided(*(k if k is not None else 0.0 * found[0] for k in kept))  # a side without such lobes: the other's, black
 
     def domain(self, g: Geometry) -> Tensor:
         """Where the model of the viewer's side sends light, once the surface is turned to the viewer."""
@@ -72,6 +81,11 @@ class TwoSided(Bsdf):
     def formula(self, g: Geometry) -> Channels:
         found = [s.formula(g.facing) for s in self.sides]
         return found[0] if len(found) == 1 else each(lambda i, o: self._by_side(g.viewer, [i, o]), *found)
+
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
+        """That of the model of the viewer's side."""
+        found = [s.albedo_at(viewer.facing, order) for s in self.sides]
+        return found[0] if len(found) == 1 else each(lambda i, o: self._by_side(viewer, [i, o]), *found)
 
     def strength(self, viewer: Viewer) -> Tensor:
         return self._by_side(viewer, [s.strength(viewer.facing) for s in self.sides])
@@ -102,7 +116,7 @@ class TwoSided(Bsdf):
 
     def _by_side(self, viewer: Viewer, found: list[Tensor]) -> Tensor:
         """What belongs to the viewer's side of what the models say."""
-        return found[0] if len(found) == 1 else torch.where(viewer.side < 0, *found)
+        return found[0] if len(found) == 1 else torch.where(viewer.side < 0, found[0], found[1])
 
 
 def _index(lobe: Tensor | int, viewer: Viewer) -> Tensor:

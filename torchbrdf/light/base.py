@@ -51,7 +51,7 @@ class Light(Value):
     @property
     def channels(self) -> int:
         """C, the number of colour channels."""
-        return max([1, *(t.shape[-1] for _, t, spec in self.own_tensors() if spec.size is None)])
+        return self.own_channels
 
     @abstractmethod
     def sample(self, points: Tensor, u: Tensor | None = None) -> LightSample:

@@ -12,8 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from .. import arguments, vector
+from ..constraint import Constraint
 from ..geometry import Layout
-from ..interval import REAL, Interval
+from ..interval import REAL
 from ..scene.gbuffer import GBuffer
 
 
@@ -25,7 +26,7 @@ class Field(nn.Module):
         """The parameter at every pixel of ``g``."""
 
     @abstractmethod
-    def bind(self, constraint: Interval, where: str) -> None:
+    def bind(self, constraint: Constraint, where: str) -> None:
         """Take over the constraint of the parameter ``where`` that this field serves."""
 
 
@@ -41,27 +42,34 @@ class Stored(Field):
         except (TypeError, ValueError, RuntimeError) as error:
             kind, found = type(self).__name__, type(init).__name__
             raise TypeError(f"{kind}: expected a number, list, array or tensor, found {found} ({error})") from None
+        if isinstance(init, Tensor) and init.requires_grad:
+            kind = type(self).__name__
+            raise TypeError(
+                f"{kind}: expected a start, found a tensor that requires a gradient, which a copy of it could not give; "
+                "pass x.detach(), or give x itself to tb.nn.Material (a texture by tb.bilinear)"
+            )
         if not start.numel() or start.is_complex():
             raise ValueError(f"{type(self).__name__}: expected real numbers, one at least, found {start.dtype} {list(start.shape)}")
         keeps = isinstance(init, Tensor) and init.is_floating_point()  # numbers, lists and arrays take torch's default dtype
         start = start.to(start.dtype if keeps else torch.get_default_dtype(), copy=True)
         start = start.reshape(1) if start.dim() == 0 else start
-        self.constraint, self.learned, self._serves = REAL, learned, ""
+        self.constraint: Constraint = REAL
+        self.learned, self._serves = learned, ""
         if learned:
             self.raw = nn.Parameter(start)
         else:
             self.register_buffer("raw", start)
 
-    def bind(self, constraint: Interval, where: str) -> None:
+    def bind(self, constraint: Constraint, where: str) -> None:
         """Check the start against the range and, where learned, store it unconstrained. May be shared by parameters of one range."""
         if self._serves:
             if str(constraint) != str(self.constraint):
                 served = f"{self._serves}, whose range is {self.constraint}"
                 raise ValueError(f"{where}: its range is {constraint}, but this field already serves {served}; give each its own field")
             return
-        if not self.raw.is_meta and not bool(constraint.contains(self.raw.detach()).all()):
-            found = f"min {self.raw.min():g}, max {self.raw.max():g}"
-            raise ValueError(f"{where}: the field starts outside the legal range {constraint} ({found}); start it inside")
+        wrong = "" if self.raw.is_meta else constraint.complaint(self.raw.detach())
+        if wrong:
+            raise ValueError(f"{where}: the field starts outside: {wrong}; start it inside")
         if self.learned:
             with torch.no_grad():
                 self.raw.copy_(constraint.to_unconstrained(self.raw))
@@ -84,6 +92,23 @@ class Constant(Stored):
 
     def forward(self, g: GBuffer) -> Tensor:
         return self.value
+
+
+class Given(Field):
+    """A tensor that somebody else differentiates by, used as it is; an ``nn.Parameter`` is registered. Its owner keeps it legal."""
+
+    def __init__(self, tensor: Tensor) -> None:
+        super().__init__()
+        self.tensor = tensor
+
+    def bind(self, constraint: Constraint, where: str) -> None:
+        """Check the start against the range."""
+        wrong = "" if self.tensor.is_meta else constraint.complaint(self.tensor.detach())
+        if wrong:
+            raise ValueError(f"{where}: {wrong}; {constraint.remedy}")
+
+    def forward(self, g: GBuffer) -> Tensor:
+        return self.tensor
 
 
 class Learned(Stored):
@@ -130,7 +155,7 @@ class Channel(Field):
             raise TypeError(f"Channel: expected a field and the number of a channel, found {type(field).__name__} and {i!r}")
         self.field, self.i = field, i
 
-    def bind(self, constraint: Interval, where: str) -> None:
+    def bind(self, constraint: Constraint, where: str) -> None:
         """Binds the whole field: all channels in use must share one range."""
         self.field.bind(constraint, where)
 

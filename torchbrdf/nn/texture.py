@@ -2,15 +2,12 @@
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from .. import arguments, numerics, vector
-from ..geometry import Layout
+from .. import arguments
+from ..lookup import WRAPS, bilinear
 from ..scene.gbuffer import GBuffer
 from .fields import Stored
-
-WRAPS = ("repeat", "clamp")
 
 
 class Texture(Stored):
@@ -51,33 +48,8 @@ class Texture(Stored):
         return rgb_to_linear_rgb(planes.expand(3, -1, -1))[: len(planes)].movedim(0, -1)
 
     def at(self, uv: Tensor) -> Tensor:
-        """Bilinear look-up ``[..., C]`` at ``uv [..., 2]``, in its dtype (float32 for half types) and on its device.
-
-        Channel by channel: gathers from planes are faster than gathers of whole pixels. By ``lerp``, which never leaves the
-        range of the texels, not even by a rounding.
-        """
-        height, width, _ = self.raw.shape
-        arguments.floats(uv, "uv", 2)
-        u, v = (numerics.widen(c) for c in uv.unbind(-1))
-        left, right, fx = self._neighbours(u * width - 0.5, width)
-        top, bottom, fy = self._neighbours((1.0 - v) * height - 0.5, height)
-        corners = [(row * width + column).reshape(-1) for row in (top, bottom) for column in (left, right)]
-
-        def blend(plane: Tensor) -> Tensor:
-            a, b, c, d = (plane.index_select(0, i).reshape(u.shape) for i in corners)
-            return torch.lerp(torch.lerp(a, b, fx), torch.lerp(c, d, fx), fy)
-
-        texels = Layout.beside(uv).follow(self.texels, axes=3)
-        return vector.stack([blend(c.reshape(-1)) for c in texels.unbind(-1)])
-
-    def _neighbours(self, x: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor]:
-        """The texels on either side of ``x`` (in texels, centres at whole numbers), and how far x is on the way."""
-        x = torch.nan_to_num(x, 0.0, 0.0, 0.0)
-        low = torch.floor(x.detach())
-        first = low.long()
-        if self.wrap == "repeat":
-            return first % n, (first + 1) % n, x - low
-        return first.clamp(0, n - 1), (first + 1).clamp(0, n - 1), x - low
+        """Bilinear look-up ``[..., C]`` at ``uv [..., 2]``, in its dtype (float32 for half types) and on its device."""
+        return bilinear(self.texels, uv, self.wrap)
 
     def extra_repr(self) -> str:
         return f"{super().extra_repr()}, wrap {self.wrap}" + (", srgb" if self.srgb else "")

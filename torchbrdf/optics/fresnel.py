@@ -41,7 +41,7 @@ def dielectric(cos_i: Tensor, eta: Tensor | float) -> Tensor:
     (c, n), dtype = numerics.working(cos_i, eta)
     at = _interface(c, n)
     r_s, r_p = (numerator / (denominator * denominator) for numerator, denominator in (at.perpendicular(), at.parallel()))
-    exact = numerics.at_most_one(0.5 * (r_s * r_s + r_p * r_p))
+    exact = numerics.at_most(0.5 * (r_s * r_s + r_p * r_p), 1.0)
     return numerics.rounded_back(at.elsewhere(exact, total=1.0), dtype)
 
 
@@ -66,7 +66,7 @@ def refraction_cosine(cos_i: Tensor, eta: Tensor | float) -> Tensor:
     (c, n), dtype = numerics.working(cos_i, eta)
     at = _interface(c, n)
     cos_t = torch.where(at.matched, at.cos, torch.where(at.partial, at.g / n, 0.0))
-    return numerics.rounded_back(numerics.at_most_one(cos_t), dtype)
+    return numerics.rounded_back(numerics.at_most(cos_t, 1.0), dtype)
 
 
 class _Interface(NamedTuple):
@@ -136,7 +136,7 @@ def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
     below = (ac + s2) * (ac + s2) + b2c2
     nothing = below == 0  # eta so small that its square underflows, at normal incidence
     quotient = torch.where(nothing, 1.0, ((ac - s2) * (ac - s2) + b2c2) / torch.where(nothing, 1.0, below))
-    return numerics.rounded_back(torch.where(vacuum, 0.0, numerics.at_most_one(0.5 * senkrecht * (1.0 + quotient))), dtype)
+    return numerics.rounded_back(torch.where(vacuum, 0.0, numerics.at_most(0.5 * senkrecht * (1.0 + quotient), 1.0)), dtype)
 
 
 def _perpendicular(c: Tensor, a: Tensor, b: Tensor, real: Tensor, imag: Tensor) -> Tensor:
@@ -188,7 +188,7 @@ class Fresnel(Value):
     @property
     def channels(self) -> int:
         """C, the number of colour channels of the result."""
-        return max([1, *(t.shape[-1] for _, t, s in self.own_tensors() if s.size is None)])
+        return self.own_channels
 
     def reflectance(self, cos_i: Tensor) -> Tensor:
         """Reflectance ``[..., C]`` at ``cos_i [..., 1]``."""

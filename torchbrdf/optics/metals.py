@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from .. import files
+from ..io import files
 
 
 @functools.cache

@@ -4,14 +4,14 @@ To optimise geometry, ``mesh.replace(vertices=leaf, normals=None)``: shading nor
 """
 
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from .. import arguments, files
+from .. import arguments
 from ..interval import REAL, Interval
-from ..value import PAIR, SCALAR, VECTOR, Value, param, value
+from ..io import files
+from ..value import Value, param, value
 from .vertex_normals import angle_weighted
 
 INDEX = Interval(0.0)
@@ -27,28 +27,27 @@ class Mesh(Value):
     has no batch axes.
     """
 
-    vertices: Tensor = param(REAL, VECTOR, "positions [V, 3]")
-    faces: Tensor = param(INDEX, VECTOR, "vertex indices [F, 3]", kind="int")
-    normals: Tensor | None = param(REAL, VECTOR, "shading normals [V, 3], any length", default=None)
-    uv: Tensor | None = param(REAL, PAIR, "texture coordinates [V, 2], v upwards", default=None)
-    material: Tensor | None = param(INDEX, SCALAR, "material id per face [F, 1]", default=None, kind="int")
-    uv_faces: Tensor | None = param(INDEX, VECTOR, "indices into uv [F, 3], where they differ from faces", default=None, kind="int")
+    vertices: Tensor = param(REAL, ("V", 3), "positions")
+    faces: Tensor = param(INDEX, ("F", 3), "vertex indices", kind="int")
+    normals: Tensor | None = param(REAL, ("V", 3), "shading normals, any length", default=None)
+    uv: Tensor | None = param(REAL, ("T", 2), "texture coordinates, v upwards; T is V without uv_faces", default=None)
+    material: Tensor | None = param(INDEX, ("F", 1), "material id per face", default=None, kind="int")
+    uv_faces: Tensor | None = param(INDEX, ("F", 3), "indices into uv, where they differ from faces", default=None, kind="int")
 
     def check_shapes(self) -> None:
         """Row counts must fit together (values are looked at by :meth:`check`)."""
+        super().check_shapes()
         for name, t, spec in self.own_tensors():
-            if t.dim() != 2:
-                raise ValueError(f"Mesh.{name}: expected shape [N, {spec.size}], found {list(t.shape)}; a mesh has no batch axes")
+            if spec.batch(t):
+                shape = spec.shape.replace("..., ", "")
+                raise ValueError(f"Mesh.{name}: expected shape {shape}, found {list(t.shape)}; a mesh has no batch axes")
         if self.faces.shape[0] == 0:
             raise ValueError("Mesh.faces: found no faces; a mesh needs at least one triangle (a point cloud has no surface to shade)")
         if self.uv_faces is not None and self.uv is None:
             raise ValueError("Mesh.uv_faces: given without uv, which it would index; pass uv [T, 2] too")
-        points, faces = self.vertices.shape[0], self.faces.shape[0]
-        rows = {"normals": points, "uv": points if self.uv_faces is None else None, "material": faces, "uv_faces": faces}
-        for name, expected in rows.items():
-            t = getattr(self, name)
-            if isinstance(t, Tensor) and expected is not None and t.shape[0] != expected:
-                raise ValueError(f"Mesh.{name}: expected {expected} rows, one for each {_owner(name)}, found {list(t.shape)}")
+        points = self.vertices.shape[0]
+        if self.uv is not None and self.uv_faces is None and self.uv.shape[0] != points:
+            raise ValueError(f"Mesh.uv: expected {points} rows, one for each vertex, found {list(self.uv.shape)}; or pass uv_faces, too")
 
     def check(self) -> None:
         """Raise ``ValueError`` if a vertex is not finite or an index points outside. Looks at values: not for graphs or transforms."""
@@ -70,23 +69,11 @@ class Mesh(Value):
         if self.material is not None and int(self.material.amin()) < 0:
             raise ValueError(f"Mesh.material: ids count from 0, found {int(self.material.amin())}")
 
-    @property
-    def batch_shape(self) -> torch.Size:
-        """A mesh has no batch axes."""
-        return torch.Size([])
-
-    def __getitem__(self, index: Any) -> Any:
-        raise TypeError("a Mesh has no batch axes to index; index its tensors (mesh.vertices, mesh.faces, ...) instead")
-
     def shading_normals(self) -> Tensor:
         """The given normals, or angle-weighted ones (differentiable w.r.t. the vertices), ``[V, 3]``."""
         if not arguments.hidden(self.vertices, self.faces):
             self.check()
         return angle_weighted(self.vertices, self.faces) if self.normals is None else self.normals
-
-
-def _owner(name: str) -> str:
-    return "vertex" if name in ("normals", "uv") else "face"
 
 
 def load_mesh(path: str | Path) -> Mesh:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import files
+from ..io import files
 
 MOST_MATERIALS = 4096  # of an OBJ file: trimesh's time grows with their square
 _ITEMS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .. import vector
-from ..pictures import Layers
+from ..io.exr import Layers
 
 # The last part of a layer's name, in lower case. Mitsuba's user chooses it freely; these are the usual choices, the names of
 # Mitsuba's own AOVs, and those of Blender's passes.

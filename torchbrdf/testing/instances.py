@@ -14,7 +14,7 @@ from ..registry import BSDFS, FRESNEL_TERMS, registered
 from ..value import Param, Value
 from .subject import generator
 
-COLOURS = 3
+COLOURS, ENTRIES = 3, 2
 
 
 def instances(thorough: bool = False, seed: int = 0) -> Iterator[tuple[str, Any]]:
@@ -35,7 +35,7 @@ def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterato
     slots = {name: fillings for name, fillings in slots.items() if fillings}
     variants: tuple[dict[str, Any], ...] = getattr(cls, "variants", ({},))
     for variant in variants:
-        for filling in _combinations(slots, every=thorough or variant == variants[0]):
+        for filling in _combinations(slots) if thorough else _in_turn(slots, every=variant == variants[0]):
             static = {name: v for name, (_, v) in filling.items()} | dict(variant)
             labels = [str(v) for v in variant.values()] + [label for label, _ in filling.values()]
             drawn = {name: draw(spec, rng) for name, spec in cls._params.items()}
@@ -43,14 +43,20 @@ def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterato
 
 
 def draw(spec: Param, rng: torch.Generator) -> torch.Tensor:
-    """A typical value of a parameter, ``[size]``; colours have three channels."""
-    return spec.constraint.draw((COLOURS if spec.size is None else spec.size,), rng)
+    """A typical value of a parameter, in its event shape; colours have three channels, other named axes two entries."""
+    shape = tuple(n if isinstance(n, int) else COLOURS if n == "C" else ENTRIES for n in spec.event)
+    return spec.constraint.draw(shape, rng)
 
 
-def _combinations(slots: dict[str, list[tuple[str, Any]]], every: bool) -> Iterator[dict[str, tuple[str, Any]]]:
-    """Each filling of the slots; the first alone where not every combination is asked for."""
-    chosen = itertools.product(*(fillings if every else fillings[:1] for fillings in slots.values()))
-    yield from (dict(zip(slots, fillings, strict=True)) for fillings in chosen)
+def _combinations(slots: dict[str, list[tuple[str, Any]]]) -> Iterator[dict[str, tuple[str, Any]]]:
+    """Each filling of each slot with each of the others."""
+    yield from (dict(zip(slots, fillings, strict=True)) for fillings in itertools.product(*slots.values()))
+
+
+def _in_turn(slots: dict[str, list[tuple[str, Any]]], every: bool) -> Iterator[dict[str, tuple[str, Any]]]:
+    """Each filling of each slot once, beside changing ones of the others; the first alone where not every one is asked for."""
+    count = max((len(fillings) for fillings in slots.values()), default=1) if every else 1
+    yield from ({name: fillings[k % len(fillings)] for name, fillings in slots.items()} for k in range(count))
 
 
 def _fillings(hint: Any, rng: torch.Generator) -> Iterator[tuple[str, Any]]:
@@ -75,17 +81,21 @@ def _sum(terms: tuple[Bsdf, ...]) -> Bsdf:
 
 
 def mixtures(rng: torch.Generator) -> Iterator[tuple[str, tuple[Bsdf, ...]]]:
-    """Typical contents of a model made of models: one lobe, two, one of them a delta, and a nested mixture."""
+    """Typical contents of a model made of models: one lobe, two, one of them a delta, and a nested mixture.
+
+    The colours of two lobes beside one another are halved: each alone may reflect nearly all, and no mixture may reflect more.
+    """
     from ..bsdf.blinn_phong import BlinnPhong
     from ..bsdf.lambert import Lambert
     from ..bsdf.mirror import Mirror
     from ..bsdf.phong import Phong
 
-    def of(cls: type[Bsdf], **static: Any) -> Any:
-        return cls(**{name: draw(spec, rng) for name, spec in cls._params.items()}, **static)
+    def of(cls: type[Bsdf], share: float = 1.0, **static: Any) -> Any:
+        drawn = {name: draw(spec, rng) * (share if spec.is_colour else 1.0) for name, spec in cls._params.items()}
+        return cls(**drawn, **static)
 
     schlick = next(v for label, v in _fillings(Fresnel, rng) if label == "Schlick")
     yield "Phong", (of(Phong, fresnel=schlick),)
-    yield "Lambert + Phong", (of(Lambert), of(Phong, fresnel=schlick))
-    yield "Lambert + Mirror", (of(Lambert), of(Mirror, fresnel=schlick))
-    yield "BlinnPhong + 0.5 (Lambert + Mirror)", (of(BlinnPhong), 0.5 * (of(Lambert) + of(Mirror)))
+    yield "Lambert + Phong", (of(Lambert, 0.5), of(Phong, 0.5, fresnel=schlick))
+    yield "Lambert + Mirror", (of(Lambert, 0.5), of(Mirror, 0.5, fresnel=schlick))
+    yield "BlinnPhong + 0.5 (Lambert + Mirror)", (of(BlinnPhong, 0.5), 0.5 * (of(Lambert, 0.5) + of(Mirror, 0.5)))

@@ -14,7 +14,6 @@ from . import fresnel, lobes
 from .fresnel import between
 from .vectors import added, cross, directions, dot, everyday_point, names, no_half_vector, positive, scaled, stacked, unit
 
-ROWS = 10_200
 POINT = names("wi", "wo", "n")
 
 
@@ -25,6 +24,7 @@ class Point:
         wi, wo, n = (unit(v) for v in (c[:3], c[3:6], c[6:9]))
         self.cos_i, self.cos_o = dot(n, wi), dot(n, wo)
         self.lit = positive(self.cos_i) & positive(self.cos_o)
+        self.same_side = positive(self.cos_i * self.cos_o)
         half = added(wi, wo)
         half2 = dot(half, half)
         self.there = positive(half2)
@@ -34,9 +34,6 @@ class Point:
         self.cos_h2 = where(self.there, 1 - dot(side, side) / where(self.there, half2, 1), 0)
         d = added(scaled(n, 2 * self.cos_o), scaled(half, -1))
         self.m = dot(d, d) / 2
-
-    def above(self, f: Any) -> Any:
-        return where(self.lit, f, 0)
 
 
 def phong(p: Point, specular, exponent, normalization="modified"):
@@ -48,26 +45,31 @@ def blinn(p: Point, specular, exponent):
     return specular * lobes.blinn_factor(exponent) * power(where(alive, p.cos_h2, 0), exponent / 2)
 
 
+def rows_of(draw: Draw) -> int:
+    return draw.points + draw.points // 50
+
+
 def point_rows(draw: Draw) -> np.ndarray:
     """(wi, wo, n): anything; wi = wo, wi = -wo, the mirror direction and near it; the horizon and its neighbours, about the z axis."""
-    n = directions(draw, ROWS)
+    rows = rows_of(draw)
+    n = directions(draw, rows)
     n[::2] = [0.0, 0.0, 1.0]
-    wi, wo = (_mostly_above(draw, directions(draw, ROWS), n) for _ in range(2))
+    wi, wo = (_mostly_above(draw, directions(draw, rows), n) for _ in range(2))
     mirror = 2 * (n * wo).sum(1, keepdims=True) * n - wo
-    near = mirror + draw.spread(ROWS, draw.info.eps, 1.0)[:, None] * directions(draw, ROWS)
-    kind = draw.rng.integers(0, 20, ROWS)
+    near = mirror + draw.spread(rows, draw.info.eps, 1.0)[:, None] * directions(draw, rows)
+    kind = draw.rng.integers(0, 20, rows)
     wi = np.select([(kind == 0)[:, None], (kind == 1)[:, None], (kind == 2)[:, None], (kind < 12)[:, None]], [wo, -wo, mirror, near], wi)
-    special = draw.rng.choice([0.0, draw.denormal, -draw.denormal, draw.info.tiny, draw.info.eps, 1e-3], ROWS)
-    on_axis = np.arange(ROWS) % 2 == 0
+    special = draw.rng.choice([0.0, draw.denormal, -draw.denormal, draw.info.tiny, draw.info.eps, 1e-3], rows)
+    on_axis = np.arange(rows) % 2 == 0
     wi[:, 2], wo[:, 2] = np.where(on_axis & (kind == 12), special, wi[:, 2]), np.where(on_axis & (kind == 13), special, wo[:, 2])
     most = 1e2 if draw.dtype == torch.float16 else 1e30
-    lengths = np.where(draw.uniform(ROWS) < 0.05, 0.0, draw.spread(ROWS, 1 / most, most))[:, None]
+    lengths = np.where(draw.uniform(rows) < 0.05, 0.0, draw.spread(rows, 1 / most, most))[:, None]
     wi, wo, n = (np.where((kind == k)[:, None], w * lengths, w) for k, w in zip((14, 15, 16), (wi, wo, n), strict=True))
     return draw.rounded(np.concatenate([wi, wo, n], 1))
 
 
 def _mostly_above(draw: Draw, w: np.ndarray, n: np.ndarray) -> np.ndarray:
-    return w * np.where(((w * n).sum(1, keepdims=True) < 0) & (draw.uniform(ROWS) < 0.9)[:, None], -1, 1)
+    return w * np.where(((w * n).sum(1, keepdims=True) < 0) & (draw.uniform(len(w)) < 0.9)[:, None], -1, 1)
 
 
 def with_parameters(draw: Draw, *columns: np.ndarray) -> np.ndarray:
@@ -76,12 +78,12 @@ def with_parameters(draw: Draw, *columns: np.ndarray) -> np.ndarray:
 
 
 def unit_interval(draw: Draw) -> np.ndarray:
-    return draw.rng.choice([0.0, 1.0, -1.0], ROWS, p=[0.05, 0.05, 0.9]) ** 2 * draw.uniform(ROWS)
+    return draw.rng.choice([0.0, 1.0, -1.0], rows_of(draw), p=[0.05, 0.05, 0.9]) ** 2 * draw.uniform(rows_of(draw))
 
 
 def exponent(draw: Draw) -> np.ndarray:
-    drawn = draw.spread(ROWS, 0.1, 30.0 if draw.half else 300.0)
-    return np.where(draw.uniform(ROWS) < 0.05, draw.rng.choice(lobes.exponents(draw), ROWS), drawn)
+    drawn = draw.spread(rows_of(draw), 0.1, 30.0 if draw.half else 300.0)
+    return np.where(draw.uniform(rows_of(draw)) < 0.05, draw.rng.choice(lobes.exponents(draw), rows_of(draw)), drawn)
 
 
 def near_horizon(x: Columns) -> Any:
@@ -107,9 +109,14 @@ def lobe_edge(x: Columns) -> Any:
 
 
 def model(
-    name: str, parameters: dict[str, Callable[[Draw], np.ndarray]], make: Callable[..., Any], truth: Callable[..., Any], **more: Any
+    name: str,
+    parameters: dict[str, Callable[[Draw], np.ndarray]],
+    make: Callable[..., Any],
+    truth: Callable[..., Any],
+    domain: str = "lit",
+    **more: Any,
 ) -> Case:
-    """A case of ``make(*parameters).evaluate(wi, wo, n)``."""
+    """A case of ``make(*parameters).evaluate(wi, wo, n)``, which is 0 outside a domain of :class:`Point`."""
 
     def call(*c):
         wi, wo, n = (torch.stack(c[k : k + 3], -1) for k in (0, 3, 6))
@@ -117,7 +124,7 @@ def model(
 
     def exact(*c):
         p = Point(c)
-        return (p.above(truth(p, *c[9:])),)
+        return (where(getattr(p, domain), truth(p, *c[9:]), 0),)
 
     return Case(
         name,
@@ -145,7 +152,7 @@ def everyday_lobe(x: Columns) -> Any:
 
 
 def eta(draw: Draw) -> np.ndarray:
-    return np.where(draw.uniform(ROWS) < 0.1, 1.0, draw.uniform(ROWS, 1.2, 2.5))
+    return np.where(draw.uniform(rows_of(draw)) < 0.1, 1.0, draw.uniform(rows_of(draw), 1.2, 2.5))
 
 
 def mirror(*c):
@@ -227,6 +234,15 @@ CASES = (
         lambda a, s: 2.0**20 * (2.0**-40 * (tb.Lambert(a) + tb.Phong(a, s, normalization="bound"))),
         lambda p, a, s: (a / pi() + phong(p, a, s, "bound")) * 2.0**-20,
         covers=("Sum", "Scaled"),
+        kinks={"edge of the lobe": lobe_edge},
+    ),
+    model(
+        "TwoSided, Phong",
+        {"specular": unit_interval, "exponent": exponent},
+        lambda k, s: tb.TwoSided(tb.Phong(k, s)),
+        phong,
+        domain="same_side",
+        covers=("TwoSided",),
         kinks={"edge of the lobe": lobe_edge},
     ),
     MIRROR,

@@ -1,68 +1,15 @@
-"""Pictures at the border: files in, linear float32 tensors out, and back.
+"""EXR files: their layers as arrays, and back; which of the layers is the picture."""
 
-Inside the library every colour is linear; sRGB is decoded here when an 8- or 16-bit picture comes in and encoded when one
-goes out. Non-finite pixels are kept as they are by everything that reads, and by EXR, which can hold them; an 8-bit picture
-shows NaN as black and the infinities as black and white, with one warning that counts them.
-"""
-
-import math
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from . import arguments, files, raster, rgbe
+from . import files
 
 Layers = dict[str, dict[str, np.ndarray]]
-EIGHT_BIT = (".png", ".jpg", ".jpeg")
-_MOST_EXPOSURE = 126  # stops, all that float32 spans to either side of 1
-_ROWS = 256  # of a picture that are recoded at a time: the sRGB curve holds several copies of what it works on
-
-
-def read_image(path: str | Path, srgb: bool | None = None) -> Tensor:
-    """Picture as linear float32 ``[H, W, C]``, top row first; C is 1, 3, or 4 with alpha (which is never decoded).
-
-    ``.exr`` (R, G, B and A, or Y), Radiance ``.hdr`` and what Pillow opens of formats that are pixels alone (``raster.py``).
-    ``srgb=None`` decodes sRGB for integer pictures alone, True and False force it on or off. Of an EXR with several layers the
-    first part's plain R, G, B is taken, else the layer called Combined, else the only one. A missing file raises
-    ``FileNotFoundError``; a damaged, truncated, unknown or unbelievably large one (``files.py``) ``ValueError``, each naming the file.
-    """
-    path = files.existing(path, "read_image")
-    kind = path.suffix.lower()
-    if kind == ".exr":
-        pixels, integer = _colour(read_exr(path), path), False
-    elif kind in (".hdr", ".pic", ".rgbe"):
-        pixels, integer = _read_radiance(path), False
-    else:
-        pixels, integer = raster.read(path), True
-    image = torch.from_numpy(np.ascontiguousarray(pixels))
-    return _recode(image, "rgb_to_linear_rgb") if (integer if srgb is None else srgb) else image
-
-
-def save_image(path: str | Path, image: Tensor, exposure: float = 0.0) -> None:
-    """Write linear ``image [H, W, 3]`` (or ``[H, W, 1]``), scaled by ``2**exposure``.
-
-    ``.png`` and ``.jpg``: sRGB encoded, clipped to [0, 1], 8 bit. ``.exr``: linear float32, as it is.
-    """
-    path = _writable(path, "save_image", (*EIGHT_BIT, ".exr"))
-    if not (isinstance(exposure, int | float) and abs(exposure) <= _MOST_EXPOSURE):  # so is NaN refused
-        raise ValueError(f"save_image: exposure: expected stops from -{_MOST_EXPOSURE} to {_MOST_EXPOSURE}, found {exposure!r}")
-    arguments.of_kind(image, "save_image: image", Tensor, "tb.shade(g, bsdf, lights)")
-    if image.dim() != 3 or image.shape[-1] not in (1, 3) or not image.is_floating_point() or not image.numel():
-        raise ValueError(f"save_image: image: expected floats [H, W, 3] or [H, W, 1], found {image.dtype} {list(image.shape)}")
-    pixels = image.detach().float().cpu() * 2.0**exposure
-    if path.suffix.lower() == ".exr":
-        write_exr(path, dict(zip("RGB" if pixels.shape[-1] == 3 else "Y", pixels.unbind(-1), strict=True)))
-        return
-    from PIL import Image
-
-    encoded = _recode(_finite(pixels, path).clamp(0.0, 1.0), "linear_rgb_to_rgb")
-    bytes_ = (encoded * 255.0).round().to(torch.uint8).contiguous().numpy()
-    Image.fromarray(bytes_ if bytes_.shape[-1] == 3 else bytes_[..., 0]).save(path, quality=95)
 
 
 def read_exr(path: str | Path) -> Layers:
@@ -91,7 +38,7 @@ def write_exr(path: str | Path, channels: Mapping[str, Any]) -> None:
     """Write ``channels`` (name -> tensor or array ``[H, W]``) as one part of float32 under exactly these names (``normal.X``)."""
     import OpenEXR
 
-    path = _writable(path, "write_exr", (".exr",))
+    path = files.writable(path, "write_exr", (".exr",))
     # A strided array would be written as wrong pixels without an error, and float64 is refused: hence both conversions.
     arrays = {n: np.ascontiguousarray(c.detach().cpu().float() if isinstance(c, Tensor) else c, np.float32) for n, c in channels.items()}
     shapes = {n: a.shape for n, a in arrays.items()}
@@ -103,14 +50,6 @@ def write_exr(path: str | Path, channels: Mapping[str, Any]) -> None:
             file.write(str(path))
     except Exception as error:
         raise OSError(f"write_exr: {path} could not be written: {error}") from None
-
-
-def _writable(path: str | Path, who: str, legal: tuple[str, ...]) -> Path:
-    files.folder_of(path, who)
-    path = Path(path)
-    if path.suffix.lower() not in legal:
-        raise ValueError(f"{who}: {path}: the name must end in one of {', '.join(legal)}")
-    return path
 
 
 def _window(header: dict[str, Any], name: str) -> tuple[int, int, int, int]:
@@ -151,7 +90,7 @@ def _in_display(channel: Any, header: dict[str, Any]) -> np.ndarray:
     return out
 
 
-def _colour(layers: Layers, path: Path) -> np.ndarray:
+def picture(layers: Layers, path: Path) -> np.ndarray:
     """The picture among an EXR's layers, ``[H, W, C]``."""
     found: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for index, channels in enumerate(layers.values()):
@@ -172,32 +111,3 @@ def _colour(layers: Layers, path: Path) -> np.ndarray:
             raise ValueError(f"read_image: {path} holds several pictures, {sorted(labels.values())}; read_exr gives them all")
     everything = sorted(name for channels in layers.values() for name in channels)
     raise ValueError(f"read_image: {path} holds no R, G, B and no Y, found channels {everything}")
-
-
-def _read_radiance(path: Path) -> np.ndarray:
-    try:
-        with path.open("rb") as file:
-            head = file.read(rgbe.LONGEST_HEADER)
-            size = path.stat().st_size
-            data = head + file.read(min(size, rgbe.longest_body(head, size)))
-        return rgbe.decode(data)
-    except (ValueError, MemoryError) as error:
-        raise ValueError(f"read_image: {path} is damaged, truncated or not a Radiance picture: {files.reason(error)}") from None
-
-
-def _recode(image: Tensor, name: str) -> Tensor:
-    """Apply kornia's sRGB curve to the colour channels of ``[H, W, C]``, a few rows at a time."""
-    import kornia.color
-
-    count = 3 if image.shape[-1] >= 3 else 1
-    out = image.clone()
-    for rows in out[..., :count].split(_ROWS):
-        rows.copy_(getattr(kornia.color, name)(rows.movedim(-1, 0).expand(3, -1, -1))[:count].movedim(0, -1))
-    return out
-
-
-def _finite(pixels: Tensor, path: Path) -> Tensor:
-    bad = int((~torch.isfinite(pixels)).sum())
-    if bad:
-        warnings.warn(f"save_image: {path}: {bad} non-finite values; NaN and -inf are shown black, +inf white", stacklevel=3)
-    return torch.nan_to_num(pixels, nan=0.0, posinf=math.inf, neginf=0.0)

@@ -1,8 +1,8 @@
 """Files from outside: what they may claim, and how a reader says no.
 
 A header costs its writer nothing, and so does a run of zeros that unpacks to a terabyte. What a file claims to hold is
-therefore added up before anything is decoded: up to :data:`BELIEVED` bytes are believed of any file, and beyond that
-:data:`RATIO` times its own size. A reader holds up to three copies of what it decodes.
+therefore added up before anything is decoded: up to :data:`MAX_DECODED_BYTES` bytes are believed of any file, and beyond that
+:data:`MAX_EXPANSION` times its own size. A reader holds up to three copies of what it decodes.
 
 Every refusal is a ``ValueError`` (a missing file is a ``FileNotFoundError``) of one line that names the file.
 """
@@ -10,8 +10,8 @@ Every refusal is a ``ValueError`` (a missing file is a ``FileNotFoundError``) of
 import os
 from pathlib import Path
 
-BELIEVED = 1 << 30  # bytes; raise it (torchbrdf.files.BELIEVED = ...) for a file that you trust
-RATIO = 64  # what a format packs to less than this part of its size, beyond BELIEVED, is taken for a bomb
+MAX_DECODED_BYTES = 1 << 30  # bytes; raise it (torchbrdf.io.files.MAX_DECODED_BYTES = ...) for a file that you trust
+MAX_EXPANSION = 64  # what a format packs to less than this part of its size, beyond MAX_DECODED_BYTES, is taken for a bomb
 
 
 def existing(path: str | Path, who: str) -> Path:
@@ -33,9 +33,18 @@ def folder_of(path: str | Path, who: str) -> Path:
     return folder
 
 
+def writable(path: str | Path, who: str, legal: tuple[str, ...]) -> Path:
+    """The path of a file that is to be written, whose folder is there and whose name ends in one of ``legal``."""
+    folder_of(path, who)
+    path = Path(path)
+    if path.suffix.lower() not in legal:
+        raise ValueError(f"{who}: {path}: the name must end in one of {', '.join(legal)}")
+    return path
+
+
 def believable(size: int) -> int:
     """How many decoded bytes are believed of a file of ``size`` bytes."""
-    return max(BELIEVED, RATIO * size)
+    return max(MAX_DECODED_BYTES, MAX_EXPANSION * size)
 
 
 def check_claim(claimed: int, size: int, what: str) -> None:
@@ -43,7 +52,7 @@ def check_claim(claimed: int, size: int, what: str) -> None:
     if claimed > believable(size):
         raise ValueError(
             f"{what}: {_amount(claimed)}, which its {size} bytes cannot hold (at most {_amount(believable(size))} is believed; "
-            "for a file that you trust, raise torchbrdf.files.BELIEVED)"
+            "for a file that you trust, raise torchbrdf.io.files.MAX_DECODED_BYTES)"
         )
 
 
