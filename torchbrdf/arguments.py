@@ -67,9 +67,9 @@ def _article(name: str) -> str:
     return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
 
 
-def broadcast(shapes: Mapping[str, Sequence[int]], what: str) -> torch.Size:
-    """The shape that all of ``shapes`` broadcast to. (``torch.broadcast_shapes`` imports sympy when first called: only where needed.)"""
-    batched = [s for s in map(torch.Size, shapes.values()) if len(s)]
+def broadcast(shapes: Mapping[str, Sequence[int]], what: str) -> Any:
+    """The shape that all of ``shapes`` broadcast to, a ``torch.Size`` if they are. (``torch.broadcast_shapes`` imports sympy: where needed.)"""
+    batched = [s for s in shapes.values() if len(s)]
     if all(s == batched[0] for s in batched):
         return batched[0] if batched else torch.Size()
     try:
