@@ -61,6 +61,7 @@ def test_conventions_name_the_same_camera(convention, rows, inverse):
     pose[:3, :3], pose[:3, 3] = axes, -axes @ camera.origin
     focal = 3.0 / math.tan(math.radians(17.5))
     K = [[focal, 0.0, 4.0], [0.0, focal, 3.0], [0.0, 0.0, 1.0]]
+    pose[3] += torch.tensor([0.0, -3e-17, 0.0, -1e-16])  # as a matrix inverse leaves it
     given = {"camera_to_world": torch.linalg.inv(pose)[:rows]} if inverse else {"world_to_camera": pose[:rows]}
     same = tb.Camera.from_matrix(K, size=(6, 8), convention=convention, **given)
     for name, tensor, _ in camera.own_tensors():

@@ -68,7 +68,7 @@ def _article(name: str) -> str:
 
 
 def broadcast(shapes: Mapping[str, Sequence[int]], what: str) -> Any:
-    """The shape that all of ``shapes`` broadcast to, a ``torch.Size`` if they are. (``torch.broadcast_shapes`` imports sympy: where needed.)"""
+    """The shape that all of ``shapes`` broadcast to, a ``torch.Size`` if they are. (``torch.broadcast_shapes`` imports sympy.)"""
     batched = [s for s in shapes.values() if len(s)]
     if all(s == batched[0] for s in batched):
         return batched[0] if batched else torch.Size()

@@ -48,7 +48,7 @@ def check(held: Declared, points: Tensor, name: str, batched: bool = True) -> No
     ``batched=False``: none has batch axes, as of lights.
     """
     for field, t, spec in held.own_tensors():
-        has_batch = batched and bool(spec.batch(t))
+        has_batch = batched and len(spec.batch(t)) > 0
         fits = _matches(t, points) if has_batch else points.is_meta or not t.is_meta
         if not fits:
             raise TypeError(f"{type(held).__name__}.{field}: {kind(t)} beside {name}: {kind(points)}; {_remedy(t, points)}")

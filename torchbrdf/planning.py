@@ -100,7 +100,7 @@ class Plan:
     def _with_unserved(self, image: Tensor, bsdf: Bsdf) -> Tensor:
         """The same image, with gradient 0 by parameters of lobes that no effect serves: DistributedDataParallel asks for every gradient."""
         unserved = [lobe for lobe in self.lobes if not any(e.serves(lobe, kind) for e in self.effects for kind in self.lights)]
-        for part in filter(None, map(bsdf.select, unserved)):
+        for part in [p for lobe in unserved if (p := bsdf.select(lobe)) is not None]:
             for _, t in part.named_tensors():
                 if t.requires_grad:
                     image = image + t.reshape(-1)[:0].sum()  # of no numbers: exactly 0, whatever t holds

@@ -94,7 +94,7 @@ class Value:
         """Broadcast shape of all batch axes, those before the shape of one parameter."""
         shapes = {n: s.batch(t) for n, t, s in self.own_tensors()}
         nested = {f"{k} {type(v).__name__}": v.batch_shape for k, v in enumerate(self.nested())}
-        return arguments.broadcast(shapes | nested, f"{type(self).__name__}: batch shapes")
+        return arguments.broadcast({**shapes, **nested}, f"{type(self).__name__}: batch shapes")
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some fields changed."""
@@ -155,7 +155,7 @@ class Value:
         def plain(x: Any) -> Any:
             if isinstance(x, dict):
                 raise TypeError(f"{type(self).__name__}: a dictionary cannot be saved; make it a value")
-            return x.state() if isinstance(x, Value) else [plain(v) for v in x] if isinstance(x, tuple | list) else x
+            return x.state() if isinstance(x, Value) else [plain(v) for v in x] if isinstance(x, (tuple, list)) else x
 
         return {"value": _name(type(self)), "fields": {n: plain(getattr(self, n)) for n in self._fields}}
 
@@ -170,7 +170,7 @@ def _tensors_in(held: Any, path: str) -> Iterator[tuple[str, Tensor]]:
         yield path, held
     elif isinstance(held, Value):
         yield from ((f"{path}.{inner}", t) for inner, t in held.named_tensors())
-    elif isinstance(held, tuple | list):
+    elif isinstance(held, (tuple, list)):
         for k, one in enumerate(held):
             yield from _tensors_in(one, f"{path}[{k}]")
 

@@ -223,7 +223,7 @@ def _check_matrices(k: Tensor, pose: Tensor, name: str) -> None:
         raise ValueError(f"from_matrix: {name}: expected shape [..., 4, 4] or [..., 3, 4], found {list(pose.shape)}")
     if not _all(torch.isfinite(k).all(-1).all(-1)) or not _all(torch.isfinite(pose).all(-1).all(-1)):
         raise ValueError(f"from_matrix: K or {name} holds numbers that are not finite")
-    if pose.shape[-2] == 4 and not _all(pose[..., 3, :] == pose.new_tensor([0.0, 0.0, 0.0, 1.0])):
+    if pose.shape[-2] == 4 and not _all((pose[..., 3, :] - pose.new_tensor([0.0, 0.0, 0.0, 1.0])).abs() < numerics.TEXT_DIGITS):
         found = pose.detach()[..., 3, :].reshape(-1, 4)[0].tolist()
         raise ValueError(f"from_matrix: {name}: expected the last row [0, 0, 0, 1], found {found}; transpose a matrix for row vectors")
     if not _all((k[..., 0, 0] > 0) & (k[..., 1, 1] > 0)):
