@@ -66,7 +66,8 @@ def planar_memory(subject: Any, rng: torch.Generator, thorough: bool = False) ->
         found["directional_albedo"] = one.directional_albedo(w, w, order=4)
         results |= {f"{verb} of {materials}": x for verb, x in found.items()}
     strided = [f"{verb} has strides {x.stride()} of shape {list(x.shape)}" for verb, x in results.items() if not is_planar(x)]
-    return Outcome(name, not strided, None, "; ".join(strided) if strided else f"strides {results['evaluate of one material'].stride()}")
+    detail = "; ".join(strided[:2]) + f" and {len(strided) - 2} more" * (len(strided) > 2)
+    return Outcome(name, not strided, None, detail or f"strides {results['evaluate of one material'].stride()}")
 
 
 def dtypes(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:

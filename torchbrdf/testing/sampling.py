@@ -119,10 +119,12 @@ def p_value(observed: Tensor, expected: Tensor) -> float:
     observed, expected = (torch.cat([x[~small], x.new_tensor(f).expand(1)]) for x, f in zip((observed, expected), few, strict=True))
     if few[1] >= LEAST:
         return chi_square(observed, expected)
-    if len(expected) == 2 and few[1] == 0.0 == few[0]:
-        raise ValueError("p_value: one bin tells nothing; at least two must expect something")
-    pooled = too_many(*few)
-    return together(pooled, chi_square(observed[:-1], expected[:-1])) if len(expected) > 2 else pooled
+    observed, expected = observed[:-1], expected[:-1]
+    if few == (0.0, 0.0):  # empty bins say nothing
+        if len(expected) < 2:
+            raise ValueError("p_value: one bin tells nothing; at least two must expect something")
+        return chi_square(observed, expected)
+    return together(too_many(*few), *[chi_square(observed, expected)] * (len(expected) > 1))
 
 
 def chi_square(observed: Tensor, expected: Tensor) -> float:
