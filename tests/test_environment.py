@@ -86,10 +86,10 @@ def test_mitsuba_sees_the_same_sky():
         assert np.abs(np.array(seen) - ours.numpy()).max() < math.pi / 128 + 1e-3  # and the error of bilinear interpolation
 
 
-def test_the_picture_that_names_its_directions(shared_data):
+def test_the_picture_that_names_its_directions(real_data):
     """Each face shows, black on white, the axes that lie in it: their lines tell directions and handedness."""
-    env = tb.EnvironmentMap.load(shared_data / "hdri" / "OrientationLatLong.exr", convention="mitsuba")
-    assert env.texels.shape == (512, 1024, 3)
+    env = tb.EnvironmentMap.load(real_data / "hdri" / "OrientationLatLong.exr", convention="mitsuba")
+    assert env.texels.shape[1:] == (2 * env.texels.shape[0], 3)
 
     def darkest(towards, aside):
         """Along the short arc from one axis towards another, how dark the line between them is."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 import trimesh
+from renders import CARRIED, spot
 
 import torchbrdf as tb
 
@@ -38,7 +39,8 @@ def assert_written(folder, textures=()):
     return record
 
 
-def test_a_quick_run_writes_its_files(example, tmp_path, capsys):
+def test_a_quick_run_writes_its_files(example, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(part("builtin"), "TEXELS", 6)
     problem = part("builtin").build(seed=1, size=28)
     rows = example.recover(problem, "glossy", part("builtin").TEXELS, 3, tmp_path / "out")
     record = assert_written(tmp_path / "out", ["terms.0.albedo"])
@@ -100,6 +102,23 @@ def test_spot_with_shadows_without_and_without_the_truth(example, shared_data, t
         assert bare[name]["recovered"] == rows[name]["recovered"]
         assert bare[name]["truth"] is None
         assert bare[name]["error"] is None
+
+
+def test_spot_through_a_window(example, tmp_path):
+    """What the repository carries of Mitsuba's images (all of them: above): two lights, 64 x 64 pixels, a shadow between the legs."""
+    folder = CARRIED / "spot" / "tail"
+    _, view, scene = spot(folder)
+    (fx, fy), (cx, cy) = view.focal.tolist(), view.principal.tolist()
+    pose = torch.cat([view.rotation, -(view.rotation @ view.origin).unsqueeze(-1)], -1)
+    camera = {"K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]], "world_to_camera": pose.tolist(), "size": [64, 64]}
+    images = {"lambert": [str(folder / f) for f in scene["images"]["lambert"]]}
+    kept = {k: scene[k] for k in ("lights", "intensity", "materials")}
+    (tmp_path / "scene.json").write_text(json.dumps({**kept, **camera, "mesh": str(folder / scene["mesh"]), "images": images}))
+    call = ["--scene", str(tmp_path / "scene.json"), "--material", "lambert", "--iterations", "20", "--out", str(tmp_path / "out")]
+    rows, blind = by_name(example.main(call)), by_name(example.main([*call, "--shadow", "off"]))
+    for name, value in zip(("albedo R", "albedo G", "albedo B"), ALBEDO, strict=True):
+        assert abs(rows[name]["recovered"] / value - 1) <= 0.002
+        assert blind[name]["error"] >= 3 * rows[name]["error"]
 
 
 ALBEDO = (0.62, 0.34, 0.18)

@@ -1,12 +1,12 @@
 """G-buffers in EXR files: our own bit for bit, Mitsuba's and Blender's against geometry that is known."""
 
-import json
 import math
 
 import numpy as np
 import OpenEXR
 import pytest
 import torch
+from renders import about, cropped, spot
 
 import torchbrdf as tb
 from torchbrdf.io.exr import read_exr, write_exr
@@ -45,6 +45,7 @@ def sphere_gbuffer(dtype=torch.float32, **changes):
     fields = {"position": p, "normal": p, "view": view, "uv": torch.rand(12, 18, 2, dtype=dtype), "depth": t.to(dtype), "mask": mask}
     fields |= {"geometric_normal": p.flip(-1), "tangent": p.roll(1, -1), "barycentric": torch.rand(12, 18, 3, dtype=dtype)}
     fields |= {"triangle": torch.randint(-1, 1 << 24, (12, 18, 1)), "material": torch.randint(0, 5, (12, 18, 1))}
+    fields |= {"handedness": torch.randint(-1, 2, (12, 18, 1)).to(dtype)}
     return tb.GBuffer(**(fields | changes))
 
 
@@ -67,7 +68,15 @@ def test_the_channels_of_our_files_are_what_the_page_says(tmp_path):
     sphere_gbuffer().save(tmp_path / "g.exr")
     (channels,) = read_exr(tmp_path / "g.exr").values()
     vectors = ("position", "normal", "view", "geometric_normal", "tangent", "barycentric")
-    assert set(channels) == {f"{v}.{c}" for v in vectors for c in "XYZ"} | {"uv.U", "uv.V", "depth.T", "mask", "triangle", "material"}
+    assert set(channels) == {f"{v}.{c}" for v in vectors for c in "XYZ"} | {
+        "uv.U",
+        "uv.V",
+        "depth.T",
+        "mask",
+        "triangle",
+        "material",
+        "handedness",
+    }
     header = OpenEXR.File(str(tmp_path / "g.exr"), separate_channels=True)
     assert {c.pixels.dtype for c in header.channels().values()} == {np.dtype(np.float32)}
 
@@ -98,10 +107,11 @@ def test_what_float32_or_one_file_cannot_hold_is_refused(tmp_path):
 # Mitsuba
 
 
-def test_mitsubas_averaged_sphere(shared_data, capsys):
+def test_mitsubas_averaged_sphere(real_data, capsys):
     """Averages over a pixel lie up to about half a pixel's spread from the centre; depth counts from the near plane, positions do not."""
-    camera = sphere_camera()
-    g = tb.GBuffer.load(shared_data / "mitsuba" / "diffuse.exr", camera)
+    path = real_data / "mitsuba" / "diffuse.exr"
+    camera = cropped(sphere_camera(), about(path))
+    g = tb.GBuffer.load(path, camera)
     p, t, disc = sphere(camera)
     core = inside(disc)
     assert g.mask[core].all()
@@ -122,13 +132,11 @@ def test_mitsubas_averaged_sphere(shared_data, capsys):
     assert printed.count("\n") == 1
 
 
-def test_mitsubas_spot_is_the_mesh(shared_data, capsys):
+def test_mitsubas_spot_is_the_mesh(spot_aovs, capsys):
     """Traced through pixel centres: mask, triangle, position, normal, uv and depth against our own ray caster."""
-    spot = shared_data / "spot"
-    scene = json.loads((spot / "scene.json").read_text())
-    camera = tb.Camera.look_at(scene["eye"], scene["target"], scene["up"], scene["fov_y_deg"], (scene["res"],) * 2)
-    theirs = tb.GBuffer.load(spot / "aov.exr", camera)
-    ours = tb.GBuffer.from_mesh(tb.load_mesh(spot / "spot.obj"), camera)
+    mesh, camera, _ = spot(spot_aovs)
+    theirs = tb.GBuffer.load(spot_aovs / "aov.exr", camera)
+    ours = tb.GBuffer.from_mesh(mesh, camera)
     same = ((theirs.triangle == ours.triangle) & theirs.mask & ours.mask)[..., 0]
     assert same.sum() >= 0.995 * theirs.mask.sum()
     assert (theirs.triangle[~theirs.mask] == -1).all()
@@ -143,9 +151,9 @@ def test_mitsubas_spot_is_the_mesh(shared_data, capsys):
 
 
 @pytest.mark.parametrize("name", ["bl50_lambert", "bl50_ggx"])
-def test_blender_5_passes(shared_data, capsys, name):
-    camera = sphere_camera()
-    path = shared_data / "blender" / f"{name}.exr"
+def test_blender_5_passes(real_data, capsys, name):
+    path = real_data / "blender" / f"{name}.exr"
+    camera = cropped(sphere_camera(), about(path))
     g = tb.GBuffer.load(path, camera)
     p, t, disc = sphere(camera)
     core = inside(disc)
@@ -164,9 +172,9 @@ def test_blender_5_passes(shared_data, capsys, name):
     assert "planar depth left out" in capsys.readouterr().out
 
 
-def blender_files(shared_data, tmp_path, drop=()):
+def blender_files(real_data, tmp_path, drop=()):
     """The passes of a Blender 5 file in the other layouts that Blender writes."""
-    layers = read_exr(shared_data / "blender" / "bl50_lambert.exr")
+    layers = read_exr(real_data / "blender" / "bl50_lambert.exr")
     flat = {n: a for channels in layers.values() for n, a in channels.items() if not any(f".{d}." in n for d in drop)}
     write_exr(tmp_path / "single.exr", {n.replace("Material Index", "IndexMA"): a for n, a in flat.items()})
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -179,20 +187,21 @@ def blender_files(shared_data, tmp_path, drop=()):
     return [tmp_path / f"{n}.exr" for n in ("single", "unprefixed", "bare")]
 
 
-def test_every_layout_of_blender_gives_the_same(shared_data, tmp_path):
-    camera = sphere_camera()
-    expected = tb.GBuffer.load(shared_data / "blender" / "bl50_lambert.exr", camera)
-    for path in blender_files(shared_data, tmp_path):
+def test_every_layout_of_blender_gives_the_same(real_data, tmp_path):
+    whole = real_data / "blender" / "bl50_lambert.exr"
+    camera = cropped(sphere_camera(), about(whole))
+    expected = tb.GBuffer.load(whole, camera)
+    for path in blender_files(real_data, tmp_path):
         g = tb.GBuffer.load(path, camera)
         for name, tensor, _ in expected.own_tensors():
             assert torch.equal(getattr(g, name), tensor), (path.name, name)
 
 
-def test_positions_are_made_from_planar_depth(shared_data, tmp_path):
-    camera = sphere_camera()
+def test_positions_are_made_from_planar_depth(real_data, tmp_path):
+    camera = cropped(sphere_camera(), about(real_data / "blender" / "bl50_lambert.exr"))
     p, t, disc = sphere(camera)
     core = inside(disc)
-    for path in blender_files(shared_data, tmp_path, drop=["Position"]):
+    for path in blender_files(real_data, tmp_path, drop=["Position"]):
         g = tb.GBuffer.load(path, camera)
         assert quantiles((g.position - p).norm(dim=-1)[core])[1] < 2e-3
         assert quantiles((g.depth - t).abs()[core])[1] < 2e-3  # 0.09 if planar depth were taken for distance

@@ -226,10 +226,10 @@ def test_metals():
     assert r > g > b, "gold is yellow"
 
 
-def test_metals_are_those_of_the_database(shared_data):
+def test_metals_are_those_of_the_database(real_data):
     for metal, table in tables().items():
         name = f"{metal}_{'Rakic' if metal == 'Al' else 'Johnson'}.yml"
-        lines = (shared_data / "nk" / name).read_text(encoding="utf-8").split("data: |")[1].splitlines()
+        lines = (real_data / "nk" / name).read_text(encoding="utf-8").split("data: |")[1].splitlines()
         rows = [[float(x) for x in line.split()] for line in lines if len(line.split()) == 3]
         assert [row for row in rows if table["rows"][0][0] <= row[0] <= table["rows"][-1][0]] == table["rows"]
 

@@ -212,6 +212,14 @@ def test_many_scenes(dtype, data):
 # --- points of no mesh: any batch shape, any dtype, normals and positions that are none ---------------------------------------
 
 DTYPES = [torch.float64, torch.float32, torch.bfloat16, torch.float16]
+TERMS = [
+    None,
+    tb.Schlick(0.04),
+    tb.Schlick(1.0),
+    *map(tb.Dielectric, (1 / 1.5, 1.0 + 1e-7, 4.0)),
+    tb.Conductor(0.2, 3.0),
+    tb.Conductor(1.5, 0.0),
+]
 wild = st.one_of(coordinates, st.sampled_from([math.nan, math.inf, -math.inf, 6e4, 6e-8]))
 
 
@@ -242,12 +250,13 @@ def values(draw, batch, dtype):
 
     found = tb.Lambert(parameter(unit, channels))
     for kind in draw(st.lists(st.sampled_from(["phong", "blinn", "mirror"]), max_size=2)):
-        term = draw(st.sampled_from([None, tb.Schlick(0.04), tb.Dielectric(1 / 1.5), tb.Conductor(0.2, 3.0)]))
+        term = draw(st.sampled_from(TERMS))
         if kind == "mirror":
             found = found + tb.Mirror(parameter(unit, channels), term)
             continue
-        model = tb.Phong if kind == "phong" else tb.BlinnPhong
-        lobe = model(parameter(unit, channels), parameter(st.sampled_from([0.0, 1.0, 30.0, 2e3]), 1), term)
+        strength, exponent = parameter(unit, channels), parameter(st.sampled_from([0.0, 1e-3, 1.0, 30.0, 2e3]), 1)
+        norm = {"normalization": draw(st.sampled_from(["none", "bound", "modified"]))} if kind == "phong" else {}
+        lobe = (tb.Phong if kind == "phong" else tb.BlinnPhong)(strength, exponent, term, **norm)
         found = found + draw(st.sampled_from([0.0, 0.5])) * lobe
     return found
 

@@ -116,7 +116,7 @@ def test_any_number_of_channels(channels):
 
     every = slice(None)
     assert model(every).is_wide == (channels > PLANAR_CHANNELS)
-    for c in range(channels):
+    for c in range(0, channels, max(1, channels // 5)):
         one = slice(c, c + 1)
         torch.testing.assert_close(model(every).evaluate(wi, wo)[:, one], model(one).evaluate(wi, wo))
         torch.testing.assert_close(model(every).directional_albedo(wo)[:, one], model(one).directional_albedo(wo))
@@ -152,44 +152,3 @@ def test_parameters_given_as_numbers_follow_the_device(kind):
             s = bsdf.sample(w, u, w)
             results = (bsdf.evaluate(w, w, w), bsdf.pdf(w, w), bsdf.directional_albedo(w), s.wi, s.weight, s.pdf)
             assert all(r.device.type == kind and r.dtype == torch.float32 for r in results)
-
-
-WRONG = {
-    "trailing size": (lambda: tb.Lambert(0.5).evaluate(UP[:, :2], UP), ValueError, r"wi: expected shape \[..., 3\], found \[1, 2\]"),
-    "random numbers": (lambda: tb.Lambert(0.5).sample(UP, UP[:, :1]), ValueError, r"u: expected shape \[..., 3\] .* found \[1, 1\]"),
-    "two numbers for two lobes": (
-        lambda: (tb.Lambert(0.5) + tb.Phong(0.5, 9.0)).sample(UP, UP[:, :2]),
-        ValueError,
-        r"found \[1, 2\], the third chooses among the 2 lobes: torch.rand\(..., 3\)",
-    ),
-    "dtype of wo": (lambda: tb.Lambert(0.5).evaluate(UP, UP.float()), TypeError, "wo: float32 on cpu beside wi: float64 on cpu"),
-    "dtype of a texture": (
-        lambda: tb.Lambert(torch.rand(4, 3)).evaluate(UP, UP),
-        TypeError,
-        r"Lambert.albedo: float32 on cpu beside wi: float64 on cpu; convert one with .to\(...\)",
-    ),
-    "dtype in sample": (lambda: tb.Lambert(torch.rand(4, 3)).sample(UP, UP[:, :2]), TypeError, "Lambert.albedo: float32 on cpu beside wo"),
-    "device": (
-        lambda: tb.Lambert(torch.rand(4, 3, device="meta")).evaluate(UP.float(), UP.float()),
-        TypeError,
-        "float32 on meta beside wi",
-    ),
-    "normalisation": (lambda: tb.Phong(1.0, 5.0, normalization="full"), ValueError, "found 'full', legal are"),
-    "Fresnel slot": (lambda: tb.Phong(1.0, 5.0, fresnel=0.04), TypeError, r"Phong.fresnel: expected a Fresnel term .* found float"),
-    "Fresnel channels": (
-        lambda: tb.Phong([1.0] * 3, 5.0, fresnel=tb.Schlick([0.1] * 4)),
-        ValueError,
-        "different numbers of colour channels",
-    ),
-    "channels of a sum": (lambda: tb.Lambert([0.5] * 3) + tb.Lambert([0.5] * 4), ValueError, "different numbers of colour channels"),
-    "sum of nothing": (lambda: tb.Sum(()), TypeError, "expected one BSDF or more"),
-    "sum with a number": (lambda: tb.Sum((tb.Lambert(0.5), 1.0)), TypeError, "found .'Lambert', 'float'."),
-    "factor": (lambda: tb.validate(-1.0 * tb.Lambert(0.5)), ValueError, r"Scaled.factor .* legal range \[0, inf\), found -1"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_input(case):
-    call, error, message = WRONG[case]
-    with pytest.raises(error, match=message):
-        call()

@@ -8,8 +8,6 @@ import torch
 import torchbrdf as tb
 from torchbrdf.testing.subject import above, generator
 
-pytestmark = pytest.mark.slow
-
 SINGLE = 16 * torch.finfo(torch.float32).eps  # Mitsuba computes in float32
 
 

@@ -396,9 +396,9 @@ def test_no_prefix_of_a_radiance_picture_does_worse_than_an_error():
         assert image.size <= 3 * 10**6
 
 
-def test_a_real_radiance_picture_agrees_with_another_reader(shared_data):
+def test_a_real_radiance_picture_agrees_with_another_reader(real_data):
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
-    path = shared_data / "hdri" / "studio.hdr"
+    path = real_data / "hdri" / "studio.hdr"
     other = np.array(mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32))
     np.testing.assert_array_equal(read_image(path).numpy(), other)

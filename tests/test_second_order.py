@@ -106,25 +106,27 @@ def iterations_until(steps, loss):
     return next((k for k, step in enumerate(steps) if step.loss <= loss), None)
 
 
-RACES = [(0, (0.1, 0.2), 130), pytest.param(0, (0.03, 0.1, 0.2, 0.3), 500, marks=pytest.mark.slow), pytest.param(1, (0.03, 0.1, 0.2, 0.3), 500, marks=pytest.mark.slow)]  # fmt: skip
+RACES = [(0, (0.1, 0.2), 0), pytest.param(0, (0.03, 0.1, 0.2, 0.3), 500, marks=pytest.mark.slow), pytest.param(1, (0.03, 0.1, 0.2, 0.3), 500, marks=pytest.mark.slow)]  # fmt: skip
 
 
 @pytest.mark.parametrize(("seed", "rates", "iterations"), RACES)  # exponents started at a fifth, and at five times the truth
 def test_gauss_newton_needs_fewer_iterations_than_the_best_adam(part, seed, rates, iterations):
+    """Five times fewer. That Adam gets there at all takes as many ``iterations``; without, it runs as long as it must not."""
     fit = part("fit").fit
     model, points = small(part, seed)
     newton = fit(model, points)
     least = newton[-1].loss
     assert len(newton) <= 15
     goals = [least * (1 + excess) for excess in (0.1, 0.01, 1e-4)]
+    needed = [iterations_until(newton, goal) for goal in goals]
     best = [10**9] * len(goals)
     for rate in rates:
         model, points = small(part, seed)
-        adam = fit(model, points, iterations, "adam", rate)
+        adam = fit(model, points, iterations or 5 * max(needed), "adam", rate)
         assert min(step.loss for step in adam) > least * (1 - 1e-6), "no optimiser goes lower"
         best = [min(b, iterations_until(adam, goal) or 10**9) for b, goal in zip(best, goals, strict=True)]
-    assert best[0] <= iterations, "Adam does get there"
-    assert all(5 * iterations_until(newton, goal) <= adam for goal, adam in zip(goals, best, strict=True))
+    assert not iterations or best[0] <= iterations, "Adam does get there"
+    assert all(5 * ours <= adam for ours, adam in zip(needed, best, strict=True))
 
 
 def test_gauss_newton_ends_at_a_minimum(part):

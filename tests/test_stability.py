@@ -5,22 +5,24 @@ import numpy as np
 import oracle
 import pytest
 import torch
-from stability import bounds, curvature, dual, measure, report, rivals
-from stability.case import POINTS, Draw
-from stability.cases import CASES
+from stability import bounds, curvature, dual, kept, measure, report, rivals
+from stability.case import FEWER, POINTS, Draw
+from stability.cases import CASES, fresnel, lobes, microfacet
 
 import torchbrdf as tb
 from torchbrdf import numerics
 from torchbrdf.registry import BSDFS, FRESNEL_TERMS
 
-BY_NAME = {case.name: case for case in CASES}
+BY_NAME = {case.name: case.on(FEWER) for case in CASES}
+WHOLE = {case.name: case for case in CASES}
 HARD = ("normalize", "reflect", "refract", "Frame", "Geometry", "EnvironmentMap", "PointLight", "DirectionalLight")
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(autouse=True)
 def _forget():
+    """What is on disk is read again in no time; held in memory, whole grids in four dtypes would be gigabytes."""
     yield
-    report.forget()
+    kept.forget()
 
 
 @pytest.mark.parametrize("name", BY_NAME)
@@ -30,10 +32,10 @@ def test_single_precision(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dtype", [torch.float64, torch.bfloat16, torch.float16], ids=report.name_of)
-@pytest.mark.parametrize("name", BY_NAME)
-def test_other_dtypes(name, dtype):
-    case = BY_NAME[name]
+@pytest.mark.parametrize("dtype", report.DTYPES, ids=report.name_of)
+@pytest.mark.parametrize("name", WHOLE)
+def test_whole_grids(name, dtype):
+    case = WHOLE[name]
     assert bounds.violations(measure.run(case, dtype), case.error, case.vectors, dtype) == []
 
 
@@ -41,6 +43,7 @@ def test_other_dtypes(name, dtype):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=report.name_of)  # run.py stability compiles for all four
 @pytest.mark.parametrize("batch", list(report.batches(CASES)), ids=lambda b: b[0].name)
 def test_fusion_undoes_nothing(batch, dtype):
+    batch = [case.on(FEWER) for case in batch]
     for case, fused in zip(batch, measure.run_compiled(batch, dtype), strict=True):
         eager = measure.run(case, dtype, second=False)
         assert bounds.undone(fused, eager, case.error) == [], case.name
@@ -71,13 +74,16 @@ def test_every_formula_is_measured():
     )
 
 
-@pytest.mark.parametrize("dtype", report.DTYPES, ids=report.name_of)
-def test_grids_hold_what_is_hard(dtype):
+@pytest.mark.parametrize(
+    ("dtype", "size"), [*((dtype, POINTS) for dtype in report.DTYPES), (torch.float32, FEWER)], ids=lambda x: str(x).removeprefix("torch.")
+)
+def test_grids_hold_what_is_hard(dtype, size):
     info = torch.finfo(dtype)
     denormal = info.smallest_normal * info.eps
     for case in CASES:
-        points = case.grid(Draw(dtype))
-        assert len(points) >= POINTS, case.name
+        case = case.on(size)
+        points = case.drawn(dtype)
+        assert len(points) >= size, case.name
         assert (torch.from_numpy(points).to(dtype).double().numpy() == points).all(), f"{case.name}: a point is not a number of the dtype"
         columns = case.columns(points, dtype)
         for name in ("cos_i", "cos_h", "cos"):
@@ -86,6 +92,37 @@ def test_grids_hold_what_is_hard(dtype):
                 assert held <= set(columns[name].tolist()), (case.name, name)
         if "k" in columns:
             assert {0.0, denormal} <= set(columns["k"].tolist())
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_a_smaller_grid_keeps_every_special_value(name):
+    whole, small = (some[name].drawn(torch.float32) for some in (WHOLE, BY_NAME))
+    assert len(small) < 0.5 * len(whole)
+    draw = Draw(torch.float32)
+    special = [*draw.cosines(), *fresnel.etas(draw), *lobes.exponents(draw), *microfacet.ROUGHNESS, draw.info.max, 1e3]
+    special = {x * sign for x in draw.rounded(special).tolist() for sign in (1.0, -1.0)}
+    for column, its, fewer in zip(WHOLE[name].inputs, whole.T, small.T, strict=True):
+        values, counts = np.unique(its, return_counts=True)
+        meant = special & set(values[counts >= 5].tolist())  # a few are met by accident
+        assert meant <= set(fewer.tolist()), column
+
+
+def test_a_truth_is_kept_until_its_sources_change(tmp_path, monkeypatch):
+    monkeypatch.setattr(kept, "FOLDER", tmp_path)
+    calls = []
+    truth = kept.kept(lambda case, dtype: calls.append(case.name) or np.full(3, gmpy2.mpfr(0.1)))
+    case = BY_NAME["fresnel.schlick"]
+    first = truth(case, torch.float32)
+    for make_anew in (False, True):
+        kept.forget()
+        if make_anew:
+            monkeypatch.setattr(kept, "version", lambda: "of other sources")
+        assert (truth(case, torch.float32) == first).all()
+        assert len(calls) == 1 + make_anew
+    assert [folder.name for folder in tmp_path.iterdir()] == ["of other sources"]
+    truth(WHOLE["fresnel.schlick"], torch.float32)
+    truth(case, torch.float64)
+    assert len(calls) == 4, "another grid, and another dtype"
 
 
 def test_derivatives_of_the_oracle():

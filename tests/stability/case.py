@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-POINTS = 10_000
+POINTS = 10_000  # of a grid at least, beside what is listed by hand: what is published, and the slow tests
+FEWER = 2_000  # the same with a smaller bulk, for the tests that a person waits for: every special point is kept
 
 
 class Columns(dict[str, np.ndarray]):
@@ -58,6 +59,15 @@ class Case:
     at_most_one: bool = False
     signed: bool = False
     vectors: bool = False
+    points: int = POINTS
+
+    def on(self, points: int) -> "Case":
+        """The same formula on a grid of another size."""
+        return dataclasses.replace(self, points=points)
+
+    def drawn(self, dtype: torch.dtype) -> np.ndarray:
+        """The grid in one dtype ``[N, n]``, N at least ``points``."""
+        return self.grid(Draw(dtype, self.points))
 
     def columns(self, points: np.ndarray, dtype: torch.dtype) -> Columns:
         """The grid by the names of the inputs."""
@@ -67,10 +77,13 @@ class Case:
 
 
 class Draw:
-    """Random and special numbers of one dtype, the same everywhere. Arrays of float64 that the dtype represents exactly."""
+    """Random and special numbers of one dtype, the same everywhere. Arrays of float64 that the dtype represents exactly.
 
-    def __init__(self, dtype: torch.dtype, seed: int = 0) -> None:
-        self.dtype, self.info = dtype, torch.finfo(dtype)
+    ``points`` is how many a grid draws at random; what it lists by hand does not depend on it.
+    """
+
+    def __init__(self, dtype: torch.dtype, points: int = POINTS, seed: int = 0) -> None:
+        self.dtype, self.info, self.points = dtype, torch.finfo(dtype), points
         self.rng = np.random.default_rng(seed)
         self.half = dtype in (torch.float16, torch.bfloat16)
         self.denormal = self.info.smallest_normal * self.info.eps
@@ -111,7 +124,7 @@ class Draw:
         """Every combination of special values ``[M, n]``."""
         return np.stack([m.ravel() for m in np.meshgrid(*[self.rounded(v) for v in lists], indexing="ij")], 1)
 
-    def fill(self, special: np.ndarray, *bulk: Callable[[int], np.ndarray], points: int = POINTS) -> np.ndarray:
+    def fill(self, special: np.ndarray, *bulk: Callable[[int], np.ndarray]) -> np.ndarray:
         """The special points and a bulk, together at least ``points`` and the bulk at least three quarters."""
-        count = max(points - len(special), 3 * len(special))
+        count = max(self.points - len(special), 3 * len(special))
         return np.concatenate([special, self.rounded(np.stack([b(count) for b in bulk], 1))])

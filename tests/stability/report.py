@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from . import bounds, curvature, measure, rivals, truth
+from . import bounds, curvature, kept, measure, rivals
 from .case import Case
 from .cases import CASES
 from .curvature import Curvature
@@ -30,12 +30,6 @@ def name_of(dtype: torch.dtype) -> str:
 def batches(cases: tuple[Case, ...]) -> Iterator[tuple[Case, ...]]:
     """A few at a time."""
     yield from (cases[i : i + BATCH] for i in range(0, len(cases), BATCH))
-
-
-def forget() -> None:
-    """The truths of one dtype take about a gigabyte."""
-    truth.truth_of.cache_clear()
-    truth.second_truth.cache_clear()
 
 
 def figure(x: float | None) -> str:
@@ -180,7 +174,7 @@ def measure_all(device: str, compile_too: bool, write: bool) -> int:
             more, failed = compiled_part(dtype, device, figures)
             parts += more
             broken += failed
-        forget()
+        kept.forget()
     verdict = "Every bound holds." if not broken else "Bounds that do not hold:\n\n" + "\n".join(f"- {b}" for b in broken)
     text = "\n\n".join([HEAD.format(formulas=len(CASES)), verdict, *parts]) + "\n"
     print(text)

@@ -1,7 +1,6 @@
 """The exact results of a case on its grid: values, slopes, second derivatives."""
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,9 +9,10 @@ import numpy as np
 import torch
 
 from . import dual
-from .case import Case, Draw
+from .case import FEWER, Case
+from .kept import kept, shortened
 
-SECOND_POINTS = 600  # of the everyday range, at which all second derivatives are compared
+SECOND_POINTS = 600  # of the everyday range, at which all second derivatives are compared; of a smaller grid, a third of them
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,17 +39,17 @@ def contracted(outs: Sequence[Any]) -> Any:
     return total
 
 
-@functools.cache
+@kept
 def truth_of(case: Case, dtype: torch.dtype) -> Truth:
     """Exact values and slopes on the grid of ``dtype``."""
-    dual.set_precision(dtype)
-    points = case.grid(Draw(dtype))
+    points = case.drawn(dtype)
     outs = case.truth(*dual.inputs(points))
     slopes = contracted(outs).parts if isinstance(contracted(outs), dual.Dual) else {}
     zero = np.full(len(points), gmpy2.mpfr(0), dtype=object)
     everyday = np.asarray(case.everyday(case.columns(points, dtype)), dtype=bool)
-    by_input = [slopes.get(j, 0) + zero for j in range(len(case.inputs))]
-    return Truth(points, [dual.plain(o) + zero for o in outs], by_input, [sensitivity(case, points, o) + zero for o in outs], everyday)
+    values, sizes = [dual.plain(o) for o in outs], [sensitivity(case, points, o) for o in outs]
+    by_input = [slopes.get(j, 0) for j in range(len(case.inputs))]
+    return Truth(points, *([shortened(x + zero) for x in some] for some in (values, by_input, sizes)), everyday)
 
 
 def sensitivity(case: Case, points: np.ndarray, out: Any) -> Any:
@@ -67,13 +67,12 @@ def sensitivity(case: Case, points: np.ndarray, out: Any) -> Any:
     return total
 
 
-@functools.cache
+@kept
 def second_truth(case: Case, dtype: torch.dtype) -> tuple[np.ndarray, np.ndarray]:
     """Some everyday points (their numbers) and all second derivatives there ``[M, n, n]``."""
-    dual.set_precision(dtype)
     truth = truth_of(case, dtype)
     chosen = np.flatnonzero(truth.everyday)
-    chosen = chosen[:: max(1, len(chosen) // SECOND_POINTS)]
+    chosen = chosen[:: max(1, len(chosen) // (SECOND_POINTS if case.points > FEWER else SECOND_POINTS // 3))]
     n = len(case.inputs)
     found = np.full((len(chosen), n, n), gmpy2.mpfr(0), dtype=object)
     for j in range(n):
@@ -81,7 +80,7 @@ def second_truth(case: Case, dtype: torch.dtype) -> tuple[np.ndarray, np.ndarray
         for i, part in total.parts.items() if isinstance(total, dual.Dual) else ():
             if isinstance(part, dual.Dual) and 0 in part.parts:
                 found[:, i, j] = part.parts[0]
-    return chosen, found
+    return chosen, shortened(found)
 
 
 def second_representable(case: Case, dtype: torch.dtype, points: np.ndarray) -> np.ndarray:

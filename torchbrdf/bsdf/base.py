@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from .. import arguments, numerics, vector
+from .. import arguments, numerics, parameters, vector
 from ..geometry import Channels, Geometry, Layout, Viewer
 from ..optics.fresnel import Fresnel
 from ..value import Value
@@ -44,7 +44,7 @@ class Bsdf(Value):
     def check_shapes(self) -> None:
         """As every value; and what it holds (Fresnel terms, other models) must have the same channels, or 1."""
         super().check_shapes()
-        held = [v for v in self.nested() if isinstance(v, Bsdf | Fresnel)]
+        held = [v for v in self.nested() if isinstance(v, (Bsdf, Fresnel))]
         counts = [("own parameters", self.own_channels), *((type(v).__name__, v.channels) for v in held)]
         if len({c for _, c in counts} - {1}) > 1:
             raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
@@ -160,7 +160,8 @@ class Bsdf(Value):
         """
         if not isinstance(order, int) or order < 1:
             raise ValueError(f"order: expected the number of nodes along one side, a whole number >= 1, found {order!r}")
-        viewer = self.viewer(arguments.floats(w, "w", 3), n, tangent)
+        self._check_directions(w=w, n=n, tangent=tangent)
+        viewer = self._viewer(w, n, tangent, False)
         return viewer.layout.join(self.albedo_at(viewer, order)).to(w.dtype)
 
     # Around them -------------------------------------------------------------------------------------------------------
@@ -173,7 +174,7 @@ class Bsdf(Value):
     @property
     def channels(self) -> int:
         """C, the number of colour channels of the result."""
-        return max(self.own_channels, *(v.channels for v in self.nested() if isinstance(v, Bsdf | Fresnel)), 1)
+        return max(self.own_channels, *(v.channels for v in self.nested() if isinstance(v, (Bsdf, Fresnel))), 1)
 
     def geometry(
         self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, assume_unit: bool = False
@@ -202,12 +203,12 @@ class Bsdf(Value):
 
     def _check_directions(self, u: tuple[int, ...] = (), **given: Tensor | None) -> None:
         """Directions must be tensors ``[..., 3]`` of one dtype and device, that of the parameters, and broadcast with them."""
-        found = {name: arguments.floats(v, name, 3) for name, v in given.items() if v is not None or name in ("wi", "wo")}
+        found = {name: arguments.floats(v, name, 3) for name, v in given.items() if v is not None or name in ("wi", "wo", "w")}
         first, reference = next(iter(found.items()))
-        check_same_kind(self, reference, first)
+        parameters.check(self, reference, first)
         for name, v in found.items():
             if v.dtype != reference.dtype or v.device != reference.device:
-                raise TypeError(f"{name}: {_kind(v)} beside {first}: {_kind(reference)}; convert one with .to(...)")
+                raise TypeError(f"{name}: {parameters.kind(v)} beside {first}: {parameters.kind(reference)}; convert one with .to(...)")
         shapes = {name: tuple(v.shape[:-1]) for name, v in found.items()} | {"parameters": tuple(self.batch_shape), "u": tuple(u)}
         arguments.broadcast(shapes, "batch shapes")
 
@@ -222,19 +223,6 @@ class Bsdf(Value):
         return Scaled(self, scale)  # type: ignore[arg-type]
 
     __rmul__ = __mul__
-
-
-def _kind(t: Tensor) -> str:
-    return f"{str(t.dtype).removeprefix('torch.')} on {t.device}"
-
-
-def check_same_kind(v: Value, reference: Tensor, name: str) -> None:
-    """Parameters with batch axes must have the dtype and device of ``reference``; those without follow it."""
-    for field, t, spec in v.own_tensors():
-        if spec.batch(t) and (t.dtype != reference.dtype or t.device != reference.device):
-            raise TypeError(f"{type(v).__name__}.{field}: {_kind(t)} beside {name}: {_kind(reference)}; convert one with .to(...)")
-    for inner in v.nested():
-        check_same_kind(inner, reference, name)
 
 
 def _unit(layout: Layout, v: Tensor, assume_unit: bool) -> Vec:

@@ -35,7 +35,7 @@ def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterato
     slots = {name: fillings for name, fillings in slots.items() if fillings}
     variants: tuple[dict[str, Any], ...] = getattr(cls, "variants", ({},))
     for variant in variants:
-        for filling in _combinations(slots, every=thorough or variant == variants[0]):
+        for filling in _combinations(slots) if thorough else _in_turn(slots, every=variant == variants[0]):
             static = {name: v for name, (_, v) in filling.items()} | dict(variant)
             labels = [str(v) for v in variant.values()] + [label for label, _ in filling.values()]
             drawn = {name: draw(spec, rng) for name, spec in cls._params.items()}
@@ -48,10 +48,15 @@ def draw(spec: Param, rng: torch.Generator) -> torch.Tensor:
     return spec.constraint.draw(shape, rng)
 
 
-def _combinations(slots: dict[str, list[tuple[str, Any]]], every: bool) -> Iterator[dict[str, tuple[str, Any]]]:
-    """Each filling of the slots; the first alone where not every combination is asked for."""
-    chosen = itertools.product(*(fillings if every else fillings[:1] for fillings in slots.values()))
-    yield from (dict(zip(slots, fillings, strict=True)) for fillings in chosen)
+def _combinations(slots: dict[str, list[tuple[str, Any]]]) -> Iterator[dict[str, tuple[str, Any]]]:
+    """Each filling of each slot with each of the others."""
+    yield from (dict(zip(slots, fillings, strict=True)) for fillings in itertools.product(*slots.values()))
+
+
+def _in_turn(slots: dict[str, list[tuple[str, Any]]], every: bool) -> Iterator[dict[str, tuple[str, Any]]]:
+    """Each filling of each slot once, beside changing ones of the others; the first alone where not every one is asked for."""
+    count = max((len(fillings) for fillings in slots.values()), default=1) if every else 1
+    yield from ({name: fillings[k % len(fillings)] for name, fillings in slots.items()} for k in range(count))
 
 
 def _fillings(hint: Any, rng: torch.Generator) -> Iterator[tuple[str, Any]]:

@@ -5,8 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from ..bsdf.base import Bsdf
 from ..optics.fresnel import Fresnel
 from ..value import validate
@@ -21,7 +19,7 @@ from .sampling import pdf_integrates_to_one, samples_follow_pdf
 from .subject import Outcome, generator, materials
 from .weights import mean_weight, weights_match
 
-Property = Callable[[Any, torch.Generator, bool], Outcome]
+Property = Callable[..., Outcome]
 
 PROPERTIES: tuple[Property, ...] = (
     gradients,
@@ -76,10 +74,11 @@ class Report:
         save(self.subject, path)
 
 
-def check(subject: Any, *, seed: int = 0, thorough: bool = False, compiled: bool = False) -> Report:
+def check(subject: Any, *, seed: int = 0, thorough: bool = False, compiled: bool | str = False) -> Report:
     """Check a BSDF or Fresnel term, at its own parameters; of a batch, up to three materials drawn at random.
 
-    ``thorough`` takes more points; ``compiled`` also compiles it (seconds to a minute). Raises ``ValueError`` for parameters
+    ``thorough`` takes more points; ``compiled`` also compiles it (seconds to a minute), by inductor or by the backend named:
+    ``"aot_eager"`` only traces, forward and backward, in a second or two. Raises ``ValueError`` for parameters
     out of their range, ``TypeError`` for anything but a BSDF or Fresnel term.
     """
     if not isinstance(subject, Bsdf | Fresnel):
@@ -87,13 +86,14 @@ def check(subject: Any, *, seed: int = 0, thorough: bool = False, compiled: bool
     validate(subject)
     singles = materials(subject, generator(seed), 3)
     properties = [p for p in PROPERTIES if compiled or p is not compiles]
-    return Report(subject, tuple(_worst([run(p, s, seed, thorough) for s in singles]) for p in properties))
+    options = {compiles: {"backend": compiled}} if isinstance(compiled, str) else {}
+    return Report(subject, tuple(_worst([run(p, s, seed, thorough, **options.get(p, {})) for s in singles]) for p in properties))
 
 
-def run(prop: Property, single: Any, seed: int = 0, thorough: bool = False) -> Outcome:
-    """One property of one unbatched float64 material. A model that raises does not have the property."""
+def run(prop: Property, single: Any, seed: int = 0, thorough: bool = False, **options: Any) -> Outcome:
+    """One property of one unbatched float64 material. A model that raises does not have the property. ``options`` are the property's."""
     try:
-        return prop(single, generator(seed), thorough)
+        return prop(single, generator(seed), thorough, **options)
     except Exception as error:
         return Outcome(prop.__name__, False, None, f"raised {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
 

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils import _pytree as pytree
 
 from ..bsdf.base import Bsdf
 from ..bsdf.lobe import Lobe
@@ -194,8 +193,13 @@ def _delta_weight(bsdf: Bsdf, wo: Tensor, n: Tensor) -> Tensor:
 
 def leaves(value: Value) -> tuple[list[str], list[Tensor], Callable[[list[Tensor]], Any]]:
     """Names and tensors of all parameters, nested ones too, and the way back."""
-    found, spec = pytree.tree_flatten_with_path(value)
-    return [pytree.keystr(path).lstrip(".") for path, _ in found], [t for _, t in found], lambda ts: pytree.tree_unflatten(ts, spec)
+    found = list(value.named_tensors())
+
+    def rebuild(tensors: list[Tensor]) -> Any:
+        left = iter(tensors)
+        return value.map(lambda _: next(left))
+
+    return [path for path, _ in found], [t for _, t in found], rebuild
 
 
 def batched(value: Any, count: int, rng: torch.Generator) -> Any:

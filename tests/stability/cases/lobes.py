@@ -38,11 +38,11 @@ def lobe_grid(draw: Draw) -> np.ndarray:
     """Complements of the cosine: 0, 1 and their neighbours; a bulk where the lobe is a normal number, up to e^-60 of its peak."""
     ms = [0.0, draw.denormal, draw.info.tiny, draw.info.eps, 1e-3, 0.5, *draw.near(1.0), 1.5]
     s = np.where(
-        draw.uniform(10_000) < 0.2,
-        draw.uniform(10_000, 0, 3),
-        draw.spread(10_000, 1.0, 3e2 if draw.dtype == torch.float16 else 1e4 if draw.half else 1e7),
+        draw.uniform(draw.points) < 0.2,
+        draw.uniform(draw.points, 0, 3),
+        draw.spread(draw.points, 1.0, 3e2 if draw.dtype == torch.float16 else 1e4 if draw.half else 1e7),
     )
-    depth = draw.uniform(10_000, 0, 8 if draw.dtype.itemsize == 2 else 60)
+    depth = draw.uniform(draw.points, 0, 8 if draw.dtype.itemsize == 2 else 60)
     m = np.minimum(-np.expm1(-depth / np.maximum(s, 1e-9)), 0.99)
     return np.concatenate([draw.product(ms, exponents(draw)), draw.rounded(np.column_stack([m, s]))])
 

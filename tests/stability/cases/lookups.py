@@ -89,9 +89,11 @@ def call_point_light(*point):
 
 def point_grid(draw: Draw) -> np.ndarray:
     """Near the light and far from it, and the light itself."""
-    lengths = draw.spread(10_000, 0.1 if draw.half else 1e-6, 1e2 if draw.half else 1e8)[:, None]
+    lengths = draw.spread(draw.points, 0.1 if draw.half else 1e-6, 1e2 if draw.half else 1e8)[:, None]
     at = np.array([LIGHT])
-    return draw.rounded(np.concatenate([at, np.zeros((1, 3)), at + np.eye(3) * draw.info.eps, at + lengths * directions(draw, 10_000)]))
+    return draw.rounded(
+        np.concatenate([at, np.zeros((1, 3)), at + np.eye(3) * draw.info.eps, at + lengths * directions(draw, draw.points)])
+    )
 
 
 def at_pole(x):

@@ -126,8 +126,8 @@ def distribution_grid(deepest: float):
     def grid(draw: Draw) -> np.ndarray:
         cos = draw.rounded(draw.cosines()).tolist()
         special = np.array([(c, max(1.0 - c * abs(c), 0.0), a) for c in cos for a in draw.rounded(ROUGHNESS)])
-        alpha = alpha_bulk(draw)(10_000)
-        theta = slopes(draw, 10_000, alpha, min(deepest, 5.0) if draw.half and deepest < 100 else deepest)
+        alpha = alpha_bulk(draw)(draw.points)
+        theta = slopes(draw, draw.points, alpha, min(deepest, 5.0) if draw.half and deepest < 100 else deepest)
         bulk = np.column_stack([np.cos(theta), np.sin(theta) ** 2, alpha])
         return draw.rounded(np.concatenate([special, bulk]))
 
@@ -136,7 +136,7 @@ def distribution_grid(deepest: float):
 
 def anisotropic_grid(deepest: float):
     def grid(draw: Draw) -> np.ndarray:
-        count = 10_000
+        count = draw.points
         ax = alpha_bulk(draw)(count)
         ay = np.clip(ax * draw.spread(count, 0.5 if draw.half else 1e-4, 2.0 if draw.half else 1e4), 0.15 if draw.half else 1e-4, 1.0)
         radius = np.sqrt(draw.uniform(count, 0, min(deepest, 5.0) if draw.half else deepest))
@@ -182,7 +182,7 @@ def cosines_and_roughness(draw: Draw, pairs: int, deepest: float | None):
     if pairs == 2:
         some = special[draw.rng.permutation(len(special))[:14]]
         special = np.array([(*p, *q) for p in some for q in some])
-    return draw.rounded(np.concatenate([special, np.concatenate([both(10_000) for _ in range(pairs)], 1)]))
+    return draw.rounded(np.concatenate([special, np.concatenate([both(draw.points) for _ in range(pairs)], 1)]))
 
 
 def smith_grid(pairs: int = 1, deepest: float | None = None):

@@ -14,7 +14,6 @@ from . import fresnel, lobes
 from .fresnel import between
 from .vectors import added, cross, directions, dot, everyday_point, names, no_half_vector, positive, scaled, stacked, unit
 
-ROWS = 10_200
 POINT = names("wi", "wo", "n")
 
 
@@ -46,26 +45,31 @@ def blinn(p: Point, specular, exponent):
     return specular * lobes.blinn_factor(exponent) * power(where(alive, p.cos_h2, 0), exponent / 2)
 
 
+def rows_of(draw: Draw) -> int:
+    return draw.points + draw.points // 50
+
+
 def point_rows(draw: Draw) -> np.ndarray:
     """(wi, wo, n): anything; wi = wo, wi = -wo, the mirror direction and near it; the horizon and its neighbours, about the z axis."""
-    n = directions(draw, ROWS)
+    rows = rows_of(draw)
+    n = directions(draw, rows)
     n[::2] = [0.0, 0.0, 1.0]
-    wi, wo = (_mostly_above(draw, directions(draw, ROWS), n) for _ in range(2))
+    wi, wo = (_mostly_above(draw, directions(draw, rows), n) for _ in range(2))
     mirror = 2 * (n * wo).sum(1, keepdims=True) * n - wo
-    near = mirror + draw.spread(ROWS, draw.info.eps, 1.0)[:, None] * directions(draw, ROWS)
-    kind = draw.rng.integers(0, 20, ROWS)
+    near = mirror + draw.spread(rows, draw.info.eps, 1.0)[:, None] * directions(draw, rows)
+    kind = draw.rng.integers(0, 20, rows)
     wi = np.select([(kind == 0)[:, None], (kind == 1)[:, None], (kind == 2)[:, None], (kind < 12)[:, None]], [wo, -wo, mirror, near], wi)
-    special = draw.rng.choice([0.0, draw.denormal, -draw.denormal, draw.info.tiny, draw.info.eps, 1e-3], ROWS)
-    on_axis = np.arange(ROWS) % 2 == 0
+    special = draw.rng.choice([0.0, draw.denormal, -draw.denormal, draw.info.tiny, draw.info.eps, 1e-3], rows)
+    on_axis = np.arange(rows) % 2 == 0
     wi[:, 2], wo[:, 2] = np.where(on_axis & (kind == 12), special, wi[:, 2]), np.where(on_axis & (kind == 13), special, wo[:, 2])
     most = 1e2 if draw.dtype == torch.float16 else 1e30
-    lengths = np.where(draw.uniform(ROWS) < 0.05, 0.0, draw.spread(ROWS, 1 / most, most))[:, None]
+    lengths = np.where(draw.uniform(rows) < 0.05, 0.0, draw.spread(rows, 1 / most, most))[:, None]
     wi, wo, n = (np.where((kind == k)[:, None], w * lengths, w) for k, w in zip((14, 15, 16), (wi, wo, n), strict=True))
     return draw.rounded(np.concatenate([wi, wo, n], 1))
 
 
 def _mostly_above(draw: Draw, w: np.ndarray, n: np.ndarray) -> np.ndarray:
-    return w * np.where(((w * n).sum(1, keepdims=True) < 0) & (draw.uniform(ROWS) < 0.9)[:, None], -1, 1)
+    return w * np.where(((w * n).sum(1, keepdims=True) < 0) & (draw.uniform(len(w)) < 0.9)[:, None], -1, 1)
 
 
 def with_parameters(draw: Draw, *columns: np.ndarray) -> np.ndarray:
@@ -74,12 +78,12 @@ def with_parameters(draw: Draw, *columns: np.ndarray) -> np.ndarray:
 
 
 def unit_interval(draw: Draw) -> np.ndarray:
-    return draw.rng.choice([0.0, 1.0, -1.0], ROWS, p=[0.05, 0.05, 0.9]) ** 2 * draw.uniform(ROWS)
+    return draw.rng.choice([0.0, 1.0, -1.0], rows_of(draw), p=[0.05, 0.05, 0.9]) ** 2 * draw.uniform(rows_of(draw))
 
 
 def exponent(draw: Draw) -> np.ndarray:
-    drawn = draw.spread(ROWS, 0.1, 30.0 if draw.half else 300.0)
-    return np.where(draw.uniform(ROWS) < 0.05, draw.rng.choice(lobes.exponents(draw), ROWS), drawn)
+    drawn = draw.spread(rows_of(draw), 0.1, 30.0 if draw.half else 300.0)
+    return np.where(draw.uniform(rows_of(draw)) < 0.05, draw.rng.choice(lobes.exponents(draw), rows_of(draw)), drawn)
 
 
 def near_horizon(x: Columns) -> Any:
@@ -148,7 +152,7 @@ def everyday_lobe(x: Columns) -> Any:
 
 
 def eta(draw: Draw) -> np.ndarray:
-    return np.where(draw.uniform(ROWS) < 0.1, 1.0, draw.uniform(ROWS, 1.2, 2.5))
+    return np.where(draw.uniform(rows_of(draw)) < 0.1, 1.0, draw.uniform(rows_of(draw), 1.2, 2.5))
 
 
 def mirror(*c):

@@ -129,7 +129,7 @@ def vector_grid(draw: Draw) -> np.ndarray:
     axes = np.array(AXES)
     special = np.concatenate([np.zeros((1, 3)), *[axes * s for s in special_lengths(draw)]])
     uneven = draw.product(*[[0.0, -draw.denormal, 1e-3, draw.info.max / 4, 1.0]] * 3)
-    bulk = directions(draw, 10_000) * draw.spread(10_000, np.sqrt(draw.info.tiny), np.sqrt(draw.info.max))[:, None]
+    bulk = directions(draw, draw.points) * draw.spread(draw.points, np.sqrt(draw.info.tiny), np.sqrt(draw.info.max))[:, None]
     return draw.rounded(np.concatenate([special, uneven, bulk]))
 
 
@@ -137,7 +137,7 @@ def unit_grid(draw: Draw) -> np.ndarray:
     """Unit vectors: the axes, their neighbours, and anything."""
     poles = np.array(AXES)[:, None] + draw.spread(40, draw.info.eps, 1e-2)[None, :, None] * directions(draw, 40)[None]
     poles = (poles / np.linalg.norm(poles, axis=-1, keepdims=True)).reshape(-1, 3)
-    return draw.rounded(np.concatenate([AXES, poles, directions(draw, 10_000)]))
+    return draw.rounded(np.concatenate([AXES, poles, directions(draw, draw.points)]))
 
 
 def pair_grid(draw: Draw) -> np.ndarray:
