@@ -12,8 +12,8 @@ import torch
 
 import torchbrdf as tb
 from torchbrdf import geometry, numerics, sampling, vector
-from torchbrdf.bsdf import base, blinn_phong, lambert, mirror, phong, sampler
-from torchbrdf.bsdf.lobe import Delta
+from torchbrdf.bsdf import base, blinn_phong, lambert, mirror, phong, sampler, two_sided
+from torchbrdf.bsdf.lobe import Delta, Draw
 from torchbrdf.geometry import each
 from torchbrdf.optics import fresnel
 from torchbrdf.vector import Vec
@@ -62,6 +62,19 @@ def _with_mirror() -> Any:
 
 def _dielectric() -> Any:
     return tb.Dielectric([1.5, 1.3, 2.0])
+
+
+def _narrow() -> Any:
+    """Of a peak 40 minutes of arc wide."""
+    return tb.Phong([0.5, 0.3, 0.9], 1e4, fresnel=tb.Schlick([0.04, 0.3, 0.6]))
+
+
+def _narrow_blinn() -> Any:
+    return tb.BlinnPhong(0.3, 300.0)
+
+
+def _two_sides() -> Any:
+    return tb.TwoSided(tb.BlinnPhong(0.4, 20.0), tb.Lambert(0.7))
 
 
 # --- the faulty pieces -------------------------------------------------------------------------------------------------
@@ -122,6 +135,105 @@ def half_vector_without_jacobian(_: Any) -> Any:
         return blinn_phong.half_vector_power(g, s + 1.0) * (s + 2.0) / (2.0 * math.pi)
 
     return density
+
+
+def half_vector_jacobian_of_normal(_: Any) -> Any:
+    """4 n.h in place of 4 wi.h."""
+
+    def density(self: Any, g: Any) -> Any:
+        s = g.scalar(self.exponent)
+        return blinn_phong.half_vector_power(g, s) * (s + 2.0) / (8.0 * math.pi)
+
+    return density
+
+
+def peak_that_no_sample_finds(original: Any) -> Any:
+    """A second lobe that was added to the density, and not to the sampler."""
+    peak = tb.Phong(1.0, 2000.0)
+    return lambda self, g: original(self, g) + peak.density(g)
+
+
+def samples_into_the_dark(original: Any) -> Any:
+    """One in two hundred goes where the density is 0, far from all others."""
+
+    def draw(self: Any, viewer: Any, u: Any) -> Any:
+        drawn = original(self, viewer, u)
+        return drawn._replace(wi=Vec(drawn.wi.x, drawn.wi.y, torch.where(u.z < 0.005, -1.0, 1.0) * drawn.wi.z))
+
+    return draw
+
+
+def samples_not_unit(original: Any) -> Any:
+    def draw(self: Any, viewer: Any, u: Any) -> Any:
+        return original(self, viewer, u)._replace(wi=vector.scale(original(self, viewer, u).wi, 1.01))
+
+    return draw
+
+
+def sides_swapped(_: Any) -> Any:
+    """The density of the model on the other side."""
+
+    def density(self: Any, g: Any) -> Any:
+        return self._by_side(g.viewer, [s.density(g.facing) for s in reversed(self.sides)])
+
+    return density
+
+
+def albedo_of_outside(_: Any) -> Any:
+    """From below, too."""
+    return lambda self, viewer, order: self.outside.albedo_at(viewer.facing, order)
+
+
+def without_bound_at_grazing(original: Any) -> Any:
+    """Ward's 1 / sqrt(cos_i cos_o): right at normal view, dimmer than the model at 60 degrees, infinite in the end."""
+
+    def formula(self: Any, g: Any) -> Any:
+        cosines = torch.where(g.above, g.cos_i * g.cos_o, 1.0)
+        return tuple(f * g.cos_h**4 * torch.rsqrt(cosines) for f in original(self, g))
+
+    return formula
+
+
+def bright_at_one_angle(original: Any) -> Any:
+    """Too bright about 65 degrees alone, and by 2 %: at 60 and at 72 it is within its bound."""
+
+    def formula(self: Any, g: Any) -> Any:
+        bumps = [torch.exp(-((c - math.cos(math.radians(65.0))) ** 2) / 0.02) for c in (g.cos_i, g.cos_o)]
+        return tuple(f * (0.85 + 0.8 * bumps[0] * bumps[1]) for f in original(self, g))
+
+    return formula
+
+
+def draw_without_shapes(_: Any) -> Any:
+    """The parameter as it is, whose last axis is in the way of the points' axes."""
+
+    def draw(self: Any, viewer: Any, u: Any) -> Any:
+        half = sampling.cosine_power(u.x, u.y, self.exponent.to(u.x.dtype) + 2.0)
+        return Draw(vector.reflect_components(viewer.wo, half))
+
+    return draw
+
+
+def albedo_without_shapes(_: Any) -> Any:
+    def albedo_at(self: Any, viewer: Any, order: int) -> Any:
+        return tuple(a.mean() * (viewer.cos_o > 0).to(viewer.cos_o.dtype) for a in viewer.colour(self.albedo))
+
+    return albedo_at
+
+
+def nan_at_zero(_: Any) -> Any:
+    """sqrt(-2 log u) as it is often pasted, at u = 0 and beyond."""
+
+    def draw(self: Any, viewer: Any, u: Any) -> Any:
+        slope = torch.log(u.x) * 0.0
+        wi = sampling.cosine_hemisphere(u.x, u.y)
+        return Draw(Vec(wi.x + slope, wi.y, wi.z))
+
+    return draw
+
+
+def interleaved_vector(_: Any) -> Any:
+    return lambda self, v: torch.stack(torch.broadcast_tensors(*v), -1)
 
 
 def sampler_of_other_exponent(original: Any) -> Any:
@@ -275,6 +387,23 @@ FAULTS = (
     Fault("wrong pdf exponent", "samples_follow_pdf", phong.Phong, "density", phong_pdf_exponent, _plain_phong),
     Fault("sampler of another exponent", "samples_follow_pdf", sampling, "cosine_power", sampler_of_other_exponent, _blinn),
     Fault("dropped Jacobian", "pdf_integrates_to_one", blinn_phong.BlinnPhong, "density", half_vector_without_jacobian, _blinn),
+    Fault(
+        "dropped Jacobian, narrow", "pdf_integrates_to_one", blinn_phong.BlinnPhong, "density", half_vector_without_jacobian, _narrow_blinn
+    ),
+    Fault("another Jacobian", "samples_follow_pdf", blinn_phong.BlinnPhong, "density", half_vector_jacobian_of_normal, _blinn),
+    Fault("a peak that is never sampled", "pdf_integrates_to_one", lambert.Lambert, "density", peak_that_no_sample_finds, _lambert),
+    Fault("samples into the dark", "samples_follow_pdf", lambert.Lambert, "draw", samples_into_the_dark, _lambert),
+    Fault("samples that are no directions", "samples_follow_pdf", lambert.Lambert, "draw", samples_not_unit, _lambert),
+    Fault("density of the other side", "samples_follow_pdf", two_sided.TwoSided, "density", sides_swapped, _two_sides),
+    Fault("albedo of one side", "albedo", two_sided.TwoSided, "albedo_at", albedo_of_outside, _two_sides),
+    Fault("albedo of one side", "mean_weight", two_sided.TwoSided, "albedo_at", albedo_of_outside, _two_sides),
+    Fault("albedo forgets Fresnel, narrow", "albedo", phong.Phong, "albedo_at", phong_without_fresnel_in_albedo, _narrow),
+    Fault("no bound at grazing", "energy_bound", blinn_phong.BlinnPhong, "formula", without_bound_at_grazing, _blinn),
+    Fault("bright at one angle", "energy_bound", blinn_phong.BlinnPhong, "formula", bright_at_one_angle, lambda: tb.BlinnPhong(0.9, 0.0)),
+    Fault("unshaped parameter in a sampler", "broadcasting", blinn_phong.BlinnPhong, "draw", draw_without_shapes, _blinn),
+    Fault("unshaped parameter in the albedo", "broadcasting", lambert.Lambert, "albedo_at", albedo_without_shapes, _lambert),
+    Fault("interleaved samples", "planar_memory", geometry.Layout, "join_vector", interleaved_vector, _lambert),
+    Fault("NaN of u = 0", "hard_cases", lambert.Lambert, "draw", nan_at_zero, _lambert),
     Fault("no horizon", "dark_outside_domain", geometry.Geometry, "above", horizon_not_masked, _lambert),
     Fault("domain of the viewer alone", "dark_outside_domain", base.Bsdf, "domain", wrong_side, _lambert),
     Fault("pdf beyond the domain", "dark_outside_domain", sampler, "_spread", one_sided_density, _blinn),

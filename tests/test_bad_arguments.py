@@ -82,7 +82,7 @@ def table(arguments, *wrong):
     ("name", "call", "kind", "wrong"),
     [
         *table(VECTORS, NO_TENSORS, NO_FLOATS, NO_VECTORS),
-        *table({k: v for k, v in VECTORS.items() if k in ("wo", "n", "tangent", "n of sample", "wi of radiance")}, ELSEWHERE),
+        *table({k: v for k, v in VECTORS.items() if k in ("wo", "n", "tangent", "n of sample")}, ELSEWHERE),
         *table(PARAMETERS, {"a word": "up"}, NO_FLOATS, NO_VECTORS, ELSEWHERE),
     ],
     ids=lambda x: x if isinstance(x, str) else "",
@@ -92,8 +92,6 @@ def test_a_vector(name, call, kind, wrong):
     expected = r"GBuffer\.|camera: " if kind == "another device" and name in PARAMETERS else name.split()[0]
     if name in ("PointLight.position", "DirectionalLight.direction") and kind == "another device":
         expected = name
-    if name == "wi of radiance" and kind == "another device":
-        expected = "EnvironmentMap.texels"
     with pytest.raises((TypeError, ValueError), match=rf"^({expected}).*(expected|beside|meta).*(found|convert|move)") as caught:
         call(wrong)
     assert "\n" not in str(caught.value)
@@ -155,6 +153,7 @@ CASES = {
     "lights in a grid": (lambda: tb.PointLight(torch.rand(2, 2, 3), torch.rand(2, 2, 1)), r"PointLight.position: expected shape \[L, 3\], found \[2, 2, 3\]; flatten"),
     "lights None": (lambda: tb.shade(g(), LAMBERT, None), "lights: expected a light or a list of lights such as .*found NoneType"),
     "lights in a dictionary": (lambda: tb.shade(g(), LAMBERT, {"sun": SUN}), r"lights\[0\]: expected a light such as .*found str"),
+    "a sky elsewhere": (lambda: SKY.to("meta").radiance(UP), "EnvironmentMap.texels: float32 on meta beside wi: float32 on cpu; convert one"),
     "a sky below 0": (lambda: tb.shade(g(), tb.Mirror(1.0), tb.EnvironmentMap(-torch.ones(2, 4, 3))), r"EnvironmentMap.texels .*legal range \[0, inf\), found -1"),
     "a sky turned and stretched": (lambda: tb.shade(g(), tb.Mirror(1.0), SKY.replace(to_world=2 * torch.eye(3))), r"EnvironmentMap.to_world \[3, 3\]: not a rotation; take the scale"),
     "a sky mirrored": (lambda: tb.validate(SKY.replace(to_world=-torch.eye(3))), r"EnvironmentMap.to_world \[3, 3\]: not a rotation; take the scale, or the mirroring"),

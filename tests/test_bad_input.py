@@ -84,7 +84,7 @@ CASES = {
     "camera size 0": (lambda t: camera((0, 4)), ValueError, r"Camera.size: expected \(height, width\), two positive whole numbers, found \(0, 4\)"),
     "camera size 1.5": (lambda t: camera((1.5, 4)), ValueError, r"Camera.size: expected .* found \(1.5, 4\)"),
     "camera size 4": (lambda t: camera(4), ValueError, r"Camera.size: expected \(height, width\).* found 4"),
-    "unknown camera convention": (lambda t: tb.Camera.from_matrix(torch.eye(3), torch.eye(4), (4, 4), convention="maya"), ValueError, r"unknown convention 'maya', legal are \['blender', 'opencv', 'opengl'\]"),
+    "unknown camera convention": (lambda t: tb.Camera.from_matrix(torch.eye(3), torch.eye(4), (4, 4), convention="maya"), ValueError, r"unknown convention 'maya', legal are \['blender', 'mitsuba', 'opencv', 'opengl'\]"),
     # sizes of every kind of parameter
     "size 1": (lambda t: tb.Phong(0.5, torch.ones(4, 5)), ValueError, r"Phong.exponent: expected shape \[..., 1\], found \[4, 5\]; did you mean x.unsqueeze\(-1\)"),
     "size 2": (lambda t: g(uv=torch.zeros(4, 5, 3)), ValueError, r"GBuffer.uv: expected shape \[..., 2\], found \[4, 5, 3\]"),
@@ -121,7 +121,7 @@ CASES = {
     # devices and dtypes
     "device of a parameter": (lambda t: shade(bsdf=tb.Lambert(META)), TypeError, r"Lambert.albedo: float32 on meta beside the G-buffer's position: float32 on cpu; convert one with .to"),
     "device of an unbatched parameter": (lambda t: shade(bsdf=tb.Lambert(META[0, 0])), TypeError, r"Lambert.albedo: float32 on meta beside the G-buffer's position"),
-    "device of a light": (lambda t: shade(lights=tb.PointLight(META[0, 0], 1.0)), TypeError, r"PointLight.position: on meta beside a G-buffer on cpu; move one with .to"),
+    "device of a light": (lambda t: shade(lights=tb.PointLight(META[0, 0], 1.0)), TypeError, r"PointLight.position: float32 on meta beside the G-buffer's position: float32 on cpu; convert one with .to"),
     "device of a visibility": (lambda t: shade(visibility=META[None, ..., :1]), TypeError, r"visibility: on meta beside a G-buffer on cpu; convert it with .to"),
     "device of the view": (lambda t: shade(g=g(view=META)), TypeError, r"GBuffer.view: float32 on meta beside position: float32 on cpu; convert one with .to"),
     "dtype of a parameter": (lambda t: shade(bsdf=tb.Lambert(torch.rand(4, 5, 3).double())), TypeError, r"Lambert.albedo: float64 on cpu beside the G-buffer's position: float32 on cpu; convert one with .to"),

@@ -109,6 +109,10 @@ def test_rotations():
     assert not ROTATION.contains(-turns).any(), "mirrored"
     assert not ROTATION.contains(1.01 * turns).any(), "stretched"
     assert ROTATION.complaint(2 * turns) == "not a rotation"
+    for dtype in (torch.float32, torch.bfloat16, torch.float16):
+        assert bool(ROTATION.contains(turns.to(dtype)).all()), "rounded"
+        assert bool(UNIT_DIRECTION.contains(turns[:, 0].to(dtype)).all())
+        assert not ROTATION.contains(1.1 * turns.to(dtype)).any()
     loose = torch.randn(6, 3, 3, generator=gen, dtype=torch.float64)
     assert bool(ROTATION.contains(ROTATION.from_unconstrained(loose)).all())
     assert gradcheck(ROTATION.from_unconstrained, loose.requires_grad_())

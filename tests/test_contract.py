@@ -7,17 +7,22 @@ import pkgutil
 
 import pytest
 import torch
+from sampler_models import Ward
 from torch import Tensor
 
 import torchbrdf as tb
 from torchbrdf import registry
 from torchbrdf.bsdf.base import Bsdf
 from torchbrdf.bsdf.lambert import Lambert
+from torchbrdf.constraint import UNIT_DIRECTION
 from torchbrdf.interval import UNIT
 from torchbrdf.optics.fresnel import Fresnel
 from torchbrdf.testing import PROPERTIES, instances, run
+from torchbrdf.testing.energy import energy_bound
+from torchbrdf.testing.instances import of_class
+from torchbrdf.testing.reciprocity import reciprocity
 from torchbrdf.testing.report import compiles
-from torchbrdf.value import COLOUR, value
+from torchbrdf.value import COLOUR, VECTOR, value
 
 FAST = [p for p in PROPERTIES if p is not compiles]
 INSTANCES = list(instances())
@@ -121,8 +126,126 @@ def test_a_users_faulty_model_is_refused():
     assert set(tb.testing.check(Bright([0.8, 0.5, 0.3])).failed) >= {"energy_bound", "reciprocity"}
 
 
+def energy(model, thorough=False):
+    return run(energy_bound, model, thorough=thorough)
+
+
+@pytest.mark.parametrize("thorough", [False, True])
+def test_energy_means_energy(thorough):
+    both = energy(tb.Lambert(0.9) + tb.Phong(3.0, 20.0), thorough)
+    assert both.ok is False
+    assert both.figure == pytest.approx(3.9, abs=1e-3)
+    assert both.detail == "largest directional albedo, at 0°: above 1"
+    assert energy(1.5 * tb.Lambert(0.9), thorough).ok is False
+    assert energy(1.5 * tb.Lambert(0.6), thorough).ok, "a factor above 1 makes no light by itself"
+    dim = tb.Lambert(0.5) + tb.Phong(0.6, 30.0, fresnel=tb.Schlick(0.04))
+    assert energy(dim, thorough).ok, "its bound of 1.1 is loose"
+    glazed = tb.Lambert(0.9) + tb.Mirror(1.0, fresnel=tb.Dielectric(1.5))
+    outcome = energy(glazed, thorough)
+    assert outcome.ok is False
+    assert outcome.figure == pytest.approx(1.9, abs=1e-3)
+    assert "at 90° - " in outcome.detail
+
+
+@pytest.mark.parametrize("thorough", [False, True])
+@pytest.mark.parametrize("alpha", [0.02, 0.15, 0.6])
+def test_wards_albedo_has_no_bound(alpha, thorough):
+    outcome = energy(Ward(0.5, alpha), thorough)
+    assert outcome.ok is False
+    assert outcome.figure > 20.0
+    assert "at 90° - " in outcome.detail
+    assert "above 1" in outcome.detail
+
+
+def test_none_promises_nothing_and_is_reported():
+    for model in (tb.Phong(3.0, 2.0, normalization="none"), tb.Lambert(0.5) + 2.0 * tb.Phong(3.0, 2.0, normalization="none")):
+        outcome = energy(model)
+        assert outcome.ok is None
+        assert outcome.figure > 1.0
+        assert "the model promises nothing" in outcome.detail
+
+
+def test_energy_is_sought_below_the_surface_and_in_every_azimuth():
+    outcome = energy(tb.TwoSided(tb.Phong(1.2, 5.0), tb.Lambert(0.5)))
+    assert outcome.ok is False
+    assert "at 180°" in outcome.detail
+
+    class Striped(tb.BlinnPhong):
+        def formula(self, g):
+            across = (g.wi_local.y * g.viewer.local.wo.y) ** 2
+            return tuple(f * (0.5 + 12.0 * across) for f in super().formula(g))
+
+    assert energy(Striped(0.3, 0.0)).ok is False
+    along = torch.tensor([[0.8, 0.0, 0.6]], dtype=torch.float64)
+    assert Striped(0.3, 0.0).directional_albedo(along) < 0.3
+
+
+def test_every_failure_says_where():
+    report = tb.testing.check(Retroreflector([0.8, 0.5, 0.3]))
+    assert "wi at " in report.outcomes[[o.name for o in report.outcomes].index("reciprocity")].detail
+
+    @value
+    class Wrong(Retroreflector):
+        def formula(self, g):
+            return tuple(f * torch.sqrt(g.cos_o - 0.2) for f in super().formula(g))
+
+    details = {o.name: o.detail for o in tb.testing.check(Wrong([0.8, 0.5, 0.3])).outcomes if o.ok is False}
+    assert "evaluate at wi = -wo in the horizon, as given and 29 more, float32" in details["hard_cases"]
+    assert "wo at " in details["reciprocity"]
+    assert all("\n" not in d for d in details.values())
+
+
+def test_what_excluded_all_points_is_named():
+    class Nowhere(Retroreflector):
+        def domain(self, g):
+            return g.cos_i > 2.0
+
+    class Kinked(Retroreflector):
+        def kink_distance(self, g):
+            return torch.zeros_like(g.cos_i)
+
+    assert "domain excludes all of " in run(reciprocity, Nowhere(0.5)).detail
+    assert "kink_distance is below 0.05 at all of " in run(reciprocity, Kinked(0.5)).detail
+
+
+@value
+class Lobes(Retroreflector):
+    """Parameters of several axes, and a direction."""
+
+    weights: Tensor = tb.param(UNIT, ("K", 3, "C"), "of K lobes")
+    axis: Tensor = tb.param(UNIT_DIRECTION, VECTOR, "of all of them")
+
+    def formula(self, g):
+        layout, total = g.viewer.layout, super().formula(g)
+        x, y, z = self.axis.movedim(-1, 0).unbind(0)
+        half = g.viewer.to_local(g.half)
+        along = (x * half.x + y * half.y + z * half.z) ** 2
+        for lobe in layout.rows(self.weights, 3):
+            for row in layout.rows(lobe, 2):
+                total = tuple(t + 0.02 * w * along for t, w in zip(total, layout.colour(row), strict=True))
+        return total
+
+    @property
+    def energy_bound(self):
+        return None
+
+
+def test_parameters_of_several_axes_sign():
+    ((_, lobes),) = of_class(Lobes)
+    assert lobes.weights.shape == (2, 3, 3)
+    report = tb.testing.check(lobes)
+    assert report.ok, f"\n{report}"
+
+
+def test_instances_conserve_energy():
+    for label, subject in INSTANCES:
+        if isinstance(subject, Bsdf):
+            outcome = energy(subject)
+            assert outcome.ok or subject.energy_bound is None, f"{label}: {outcome}"
+
+
 def test_report(tmp_path):
-    report = tb.testing.check(tb.Lambert(torch.rand(5, 4, 3)) + tb.Mirror(0.2))
+    report = tb.testing.check(tb.Lambert(0.8 * torch.rand(5, 4, 3)) + tb.Mirror(0.2))
     assert report.ok
     table = str(report)
     assert "reciprocity" in table

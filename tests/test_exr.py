@@ -45,6 +45,7 @@ def sphere_gbuffer(dtype=torch.float32, **changes):
     fields = {"position": p, "normal": p, "view": view, "uv": torch.rand(12, 18, 2, dtype=dtype), "depth": t.to(dtype), "mask": mask}
     fields |= {"geometric_normal": p.flip(-1), "tangent": p.roll(1, -1), "barycentric": torch.rand(12, 18, 3, dtype=dtype)}
     fields |= {"triangle": torch.randint(-1, 1 << 24, (12, 18, 1)), "material": torch.randint(0, 5, (12, 18, 1))}
+    fields |= {"handedness": torch.randint(-1, 2, (12, 18, 1)).to(dtype)}
     return tb.GBuffer(**(fields | changes))
 
 
@@ -67,7 +68,15 @@ def test_the_channels_of_our_files_are_what_the_page_says(tmp_path):
     sphere_gbuffer().save(tmp_path / "g.exr")
     (channels,) = read_exr(tmp_path / "g.exr").values()
     vectors = ("position", "normal", "view", "geometric_normal", "tangent", "barycentric")
-    assert set(channels) == {f"{v}.{c}" for v in vectors for c in "XYZ"} | {"uv.U", "uv.V", "depth.T", "mask", "triangle", "material"}
+    assert set(channels) == {f"{v}.{c}" for v in vectors for c in "XYZ"} | {
+        "uv.U",
+        "uv.V",
+        "depth.T",
+        "mask",
+        "triangle",
+        "material",
+        "handedness",
+    }
     header = OpenEXR.File(str(tmp_path / "g.exr"), separate_channels=True)
     assert {c.pixels.dtype for c in header.channels().values()} == {np.dtype(np.float32)}
 

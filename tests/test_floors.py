@@ -16,9 +16,14 @@ FLOORS = {
             "geometry",
             "constraint",
             "interval",
+            "declaration",
             "value",
+            "loading",
             "registry",
             "arguments",
+            "parameters",
+            "torch_compat",
+            "compiling",
             "quadrature",
             "lookup",
             "sampling",
@@ -28,7 +33,7 @@ FLOORS = {
     ),
     "optics": 1,
     **dict.fromkeys(("bsdf", "light", "scene"), 2),
-    **dict.fromkeys(("effects", "planning", "compiling"), 3),
+    **dict.fromkeys(("effects", "planning"), 3),
     "nn": 4,
     **dict.fromkeys(("testing", "measure", "ledger"), 9),  # aside: they use the floors, nothing imports them
 }

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import torchbrdf as tb
-from torchbrdf import compiling
+from torchbrdf import torch_compat
 from torchbrdf.bsdf.base import Bsdf
 from torchbrdf.testing.hard_cases import variations
 from torchbrdf.testing.instances import instances
@@ -247,7 +247,7 @@ COMPILED = {
 @pytest.mark.parametrize("name", COMPILED)
 def test_compiled(name):
     """The same through `tb.compile`, fused and recomputed, under the light that almost touches and the one that dazzles."""
-    if not compiling._has_compiler():
+    if not torch_compat.has_cpp_compiler():
         pytest.skip("there is no C++ compiler")
     torch._dynamo.reset()
     g, local, skies = scene("by hand", COMPILED[name], torch.float32)

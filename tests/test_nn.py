@@ -27,7 +27,7 @@ def points(*pixels, **fields):
 
 
 def with_uv(uv):
-    return points(*uv.shape[:-1], uv=uv)
+    return points(*uv.shape[:-1], uv=uv).to(uv.dtype)
 
 
 def test_constant_is_fixed_and_learned_is_a_parameter():

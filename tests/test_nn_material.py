@@ -9,7 +9,9 @@ from test_shade import sheet, three_lights
 from torch import nn
 
 import torchbrdf as tb
-from torchbrdf import compiling
+from torchbrdf import torch_compat
+
+UP = torch.tensor([0.0, 0.0, 1.0])
 
 
 def textured(n=6):
@@ -45,7 +47,7 @@ def test_numbers_are_held_constant_and_static_arguments_pass_through():
     assert value.normalization == "bound"
     assert value.fresnel.f0.item() == 0.04
     assert not list(phong.parameters())
-    assert set(phong.state_dict()) == {"specular.raw", "exponent.raw"}
+    assert set(phong.state_dict()) == {"specular.raw", "exponent.raw", "fresnel.held_f0"}
     with pytest.raises(ValueError, match=r"Phong.exponent: the field starts outside: legal range \[0, inf\)"):
         tb.nn.Material(tb.Phong, specular=0.3, exponent=-1.0)
     assert tb.nn.Material(tb.Mirror, tint=0.5, fresnel=None)(textured()).fresnel is None
@@ -154,7 +156,7 @@ def test_functional_call_and_a_stack_of_shaders():
 
 @pytest.mark.slow
 def test_a_shader_compiles_to_one_full_graph():
-    if not compiling._has_compiler():
+    if not torch_compat.has_cpp_compiler():
         pytest.skip("there is no C++ compiler")
     torch._dynamo.reset()
     made, g = shader()
@@ -194,3 +196,67 @@ def test_two_processes_find_the_gradients_of_one(tmp_path, compiled):
     for rank in (0, 1):
         for p, found in zip(made.parameters(), torch.load(tmp_path / f"{rank}.pt"), strict=True):
             torch.testing.assert_close(found, p.grad, rtol=1e-4, atol=1e-6)
+
+
+def test_a_leaf_or_a_parameter_is_used_as_it_is():
+    leaf, parameter = torch.tensor([0.5, 0.4], requires_grad=True), torch.nn.Parameter(torch.tensor([0.3, 0.2]))
+    material = tb.nn.Material(tb.Lambert, albedo=leaf) + tb.nn.Material(tb.Mirror, tint=parameter)
+    assert [id(p) for p in material.parameters()] == [id(parameter)], "a Parameter is registered, a leaf stays its owner's"
+    brdf = material(None)
+    (brdf.terms[0].albedo.sum() + 2 * brdf.terms[1].tint.sum()).backward()
+    assert leaf.grad.tolist() == [1.0, 1.0]
+    assert parameter.grad.tolist() == [2.0, 2.0]
+    assert tb.nn.Material(tb.Lambert, albedo=2 * leaf)(None).albedo.requires_grad, "so is what was computed"
+    with pytest.raises(ValueError, match=r"Lambert.albedo: legal range \[0, 1\], found 1.5 .*clamp or re-parametrise"):
+        tb.nn.Material(tb.Lambert, albedo=torch.tensor([1.5], requires_grad=True))
+
+
+@pytest.mark.parametrize(
+    "field", [tb.nn.Learned, tb.nn.Constant, lambda x: tb.nn.Texture(x.reshape(1, 1, 2)), lambda x: tb.nn.PerMaterial(x.reshape(1, 2))]
+)
+def test_a_start_that_requires_a_gradient_is_refused(field):
+    """A field holds a copy, which would leave the leaf without its gradient and without a word."""
+    leaf = torch.tensor([0.5, 0.4], requires_grad=True)
+    with pytest.raises(
+        TypeError, match=r"expected a start, found a tensor that requires a gradient.*pass x.detach\(\), or give x itself to tb.nn.Material"
+    ):
+        field(leaf)
+    field(leaf.detach())
+
+
+def test_values_that_a_material_holds_follow_it():
+    f0 = torch.nn.Parameter(torch.tensor([0.04, 0.05, 0.06]))
+    for term, learned in ((tb.Schlick([0.04, 0.05, 0.06]), 0), (tb.Schlick(f0), 1)):
+        material = tb.nn.Material(tb.Phong, specular=0.5, exponent=tb.nn.Learned(20.0), fresnel=term, normalization="bound")
+        assert len(list(material.parameters())) == 1 + learned
+        assert {k: tuple(v.shape) for k, v in material.state_dict().items()} == {
+            "specular.raw": (1,),
+            "exponent.raw": (1,),
+            "fresnel.held_f0": (3,),
+        }
+        brdf = material.double()(None)
+        assert brdf.fresnel.f0.dtype == torch.float64
+        assert brdf.fresnel.f0.requires_grad is bool(learned)
+        assert brdf.normalization == "bound"
+        other = tb.nn.Material(tb.Phong, specular=0.5, exponent=tb.nn.Learned(20.0), fresnel=tb.Schlick([0.1, 0.1, 0.1]))
+        other.load_state_dict(material.state_dict())
+        torch.testing.assert_close(other(None).fresnel.f0, torch.tensor([0.04, 0.05, 0.06], dtype=torch.float64))
+    two = tb.nn.Material(tb.TwoSided, inside=tb.Lambert(0.5) + tb.Phong(0.1, 20.0))
+    assert set(two.state_dict()) == {"inside.held_terms_0_albedo", "inside.held_terms_1_specular", "inside.held_terms_1_exponent"}
+    torch.testing.assert_close(two(None).evaluate(UP, UP), tb.TwoSided(tb.Lambert(0.5) + tb.Phong(0.1, 20.0)).evaluate(UP, UP))
+
+
+def test_parameters_of_a_lobe_that_nobody_lights_get_gradient_0():
+    """A mirror under a point light is dark; DDP waits for the gradient of its tint all the same."""
+    g = tb.GBuffer(torch.zeros(4, 4, 3), UP.expand(4, 4, 3), UP.expand(4, 4, 3))
+    material = tb.nn.Material(tb.Lambert, albedo=tb.nn.Learned(0.5)) + tb.nn.Material(tb.Mirror, tint=tb.nn.Learned([0.5, 0.5, 0.5]))
+    sun = tb.DirectionalLight([0.0, 0.0, 1.0], 1.0)
+    shader = tb.nn.Shader(material, tb.plan(g, material(g), sun))
+    image = shader(g, sun)
+    image.sum().backward()
+    assert [bool(p.grad.any()) for p in shader.parameters()] == [True, False]
+    torch.testing.assert_close(image, tb.shade(g, tb.Lambert(0.5), sun).expand_as(image))
+    compiled = torch.compile(shader, fullgraph=True, backend="aot_eager")
+    shader.zero_grad()
+    compiled(g, sun).sum().backward()
+    assert [bool(p.grad.any()) for p in shader.parameters()] == [True, False]

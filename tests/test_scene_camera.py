@@ -61,6 +61,7 @@ def test_conventions_name_the_same_camera(convention, rows, inverse):
     pose[:3, :3], pose[:3, 3] = axes, -axes @ camera.origin
     focal = 3.0 / math.tan(math.radians(17.5))
     K = [[focal, 0.0, 4.0], [0.0, focal, 3.0], [0.0, 0.0, 1.0]]
+    pose[3] += torch.tensor([0.0, -3e-17, 0.0, -1e-16])  # as a matrix inverse leaves it
     given = {"camera_to_world": torch.linalg.inv(pose)[:rows]} if inverse else {"world_to_camera": pose[:rows]}
     same = tb.Camera.from_matrix(K, size=(6, 8), convention=convention, **given)
     for name, tensor, _ in camera.own_tensors():
@@ -87,6 +88,19 @@ def test_the_horizontal_field_of_view():
     torch.testing.assert_close(edge, torch.tensor([8.0, 3.0], dtype=torch.float64))
     with pytest.raises(ValueError, match=r"fov_x is the full angle in degrees and lies in \(0, 180\), found \[200.0\]"):
         tb.Camera.look_at(EYE, TARGET, UP, fov_x=200.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "found"), [(torch.float32, torch.float32), (torch.float64, torch.float64), (torch.bfloat16, torch.float32)]
+)
+def test_a_camera_has_the_dtype_of_the_tensors_it_was_made_of(given, found):
+    for arguments in ((torch.tensor(EYE, dtype=given), TARGET), (EYE, torch.tensor(TARGET, dtype=given))):
+        camera = tb.Camera.look_at(*arguments, UP, 35.0, (3, 4))
+        assert {t.dtype for _, t, _ in camera.own_tensors()} == {found}
+        assert camera.rays()[1].dtype == found
+        off = camera.rotation @ camera.rotation.T - torch.eye(3, dtype=found)
+        assert off.abs().max() < 8 * torch.finfo(found).eps
+    assert look().rotation.dtype == torch.float64, "numbers alone"
 
 
 def test_an_angle_in_radians_is_noticed():

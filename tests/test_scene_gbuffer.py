@@ -9,7 +9,10 @@ import trimesh
 from renders import spot
 
 import torchbrdf as tb
+from torchbrdf import vector
+from torchbrdf.interval import UNIT
 from torchbrdf.scene import intersect
+from torchbrdf.value import COLOUR, param, value
 
 FIELDS = ("position", "depth", "normal", "geometric_normal", "uv", "barycentric", "view", "tangent")
 
@@ -167,6 +170,72 @@ def test_degenerate_texture_coordinates_give_no_tangent():
     assert (g.tangent == 0).all()
     (grad,) = torch.autograd.grad((g.tangent + g.position).sum() + g.uv.sum(), t)
     assert torch.isfinite(grad).all()
+
+
+def sheet(uv, turned=False, normals=None, half=2.0):
+    """A square in the plane z = 0 whose corners, from the lower left counter-clockwise, have the given uv."""
+    v = torch.tensor([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]], dtype=torch.float64)
+    faces = torch.tensor([[0, 1, 2], [0, 2, 3]])
+    normals = None if normals is None else torch.tensor([normals], dtype=torch.float64).expand(4, 3)
+    return tb.Mesh(v, faces.flip(-1) if turned else faces, normals, torch.tensor(uv, dtype=torch.float64))
+
+
+UPRIGHT = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+MIRRORED = tuple((1.0 - u, v) for u, v in UPRIGHT)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("normals", [None, (0.0, 0.0, 1.0), (0.1, 0.2, -1.0)])
+@pytest.mark.parametrize(
+    ("uv", "u_along", "v_along"), [(UPRIGHT, 1.0, 1.0), (MIRRORED, -1.0, 1.0), (tuple((u, 1.0 - v) for u, v in UPRIGHT), 1.0, -1.0)]
+)
+def test_the_bitangent_points_along_growing_v(uv, u_along, v_along, turned, normals):
+    mesh = sheet(uv, turned, normals)
+    seen = tb.GBuffer.from_mesh(mesh, camera((6, 8)))
+    rays = tb.GBuffer.from_rays(mesh, *camera((6, 8)).rays())
+    given = tb.GBuffer.from_triangles(mesh, seen.triangle, seen.barycentric, camera())
+    for g in (seen, rays, given):
+        assert g.mask.all()
+        bitangent = g.handedness * torch.linalg.cross(g.normal, g.tangent)
+        assert ((g.tangent * torch.tensor([u_along, 0.0, 0.0])).sum(-1) > 0.9).all()
+        assert ((bitangent * torch.tensor([0.0, v_along, 0.0])).sum(-1) > 0.9).all()
+        axes = tb.Surface.of(g, wide=False).viewer.axes  # what models get
+        assert (axes[1].y * v_along > 0.9).all()
+
+
+def test_handedness_is_one_or_minus_one_or_none():
+    g = tb.GBuffer.from_mesh(ball(), camera())
+    assert (g.handedness[g.mask].abs() == 1).all()
+    assert set(g.handedness.unique().tolist()) == {-1.0, 0.0, 1.0}  # the uv of that ball are mirrored on one side
+    assert not g.handedness[~g.mask].any()
+    flat = tb.GBuffer.from_mesh(ball().replace(uv=torch.zeros_like(ball().uv)), camera())
+    assert not flat.handedness.any()
+    assert tb.GBuffer.from_mesh(ball(uv=False), camera()).handedness is None
+
+
+@value
+class Slanted(tb.Bsdf):
+    """Brushed at 45 degrees between tangent and bitangent: not the same when the bitangent turns over."""
+
+    colour: torch.Tensor = param(UNIT, COLOUR, "factor")
+    lobes = (tb.Lobe.GLOSSY_REFLECTION,)
+
+    def formula(self, g):
+        h = vector.scale(g.viewer.to_local(g.half), g.inverse_half)
+        return tuple(c * torch.exp(-20.0 * (h.x + h.y) ** 2) for c in g.colour(self.colour))
+
+
+@pytest.mark.parametrize("channels", [3, 5])
+def test_a_mirrored_texture_turns_what_is_brushed_over(channels):
+    """The picture of a mirrored uv is that of the upright one with the world mirrored, in both layouts of colours."""
+    light = tb.PointLight([1.5, 0.7, 2.0], 10.0)
+    across = tb.PointLight([-1.5, 0.7, 2.0], 10.0)
+    view = tb.Camera.look_at([0.0, 0.0, 3.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 45.0, (8, 8))
+    slanted = Slanted([0.5] * channels)
+    upright, mirrored = (tb.GBuffer.from_mesh(sheet(uv), view) for uv in (UPRIGHT, MIRRORED))
+    expected = tb.shade(upright, slanted, light).flip(-2)
+    torch.testing.assert_close(tb.shade(mirrored, slanted, across), expected)
+    assert (tb.shade(mirrored.replace(handedness=None), slanted, across) - expected).abs().max() > 0.1 * expected.max()
 
 
 def test_the_triangle_is_right_for_a_far_camera_and_a_far_mesh():

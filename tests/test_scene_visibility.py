@@ -1,5 +1,8 @@
 """Shadows: none of a surface's own making, and all that others cast. (With Mitsuba they are compared in test_shade_renderers.)"""
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +10,7 @@ import torch.nn.functional as F
 import trimesh
 
 import torchbrdf as tb
-from torchbrdf.scene import visibility as module
+from torchbrdf.scene import start as module
 
 
 def Point(*positions):
@@ -137,3 +140,45 @@ def away_from_edges(g, pixels=2, jump=0.02):
         jumps = (a - b).abs() > jump * torch.minimum(a, b)
         edge = edge | F.pad(jumps, (0, 1, 0, 0) if axis else (0, 0, 0, 1)) | F.pad(jumps, (1, 0, 0, 0) if axis else (0, 0, 1, 0))
     return F.max_pool2d(edge.float()[None, None], 2 * pixels + 1, 1, pixels)[0, 0] == 0
+
+
+class Draws(NamedTuple):
+    """What a user's light may return."""
+
+    distance: torch.Tensor
+    wi: torch.Tensor
+
+
+def test_samples_are_taken_for_lights():
+    mesh = ball(subdivisions=2)
+    g = seen(mesh, size=(6, 8))
+    three, sun = Point([0.0, 3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 3.0]), Sun(0.2, 0.4, 1.0)
+    expected = tb.visibility(g, [three, sun], mesh)
+    assert torch.equal(tb.visibility(g, three.sample(g.position), mesh), expected[:3])
+    assert torch.equal(tb.visibility(g, [three.sample(g.position), sun], mesh), expected)
+    assert torch.equal(tb.visibility(g, (three, sun.sample(g.position)), mesh), expected)
+    drawn = Draws(wi=tb.normalize(torch.randn(3, 6, 8, 3)), distance=torch.full((3, 6, 8, 1), torch.inf))
+    above = (drawn.wi * g.geometric_normal).sum(-1, keepdim=True) > 1e-6
+    assert torch.equal(tb.visibility(g, drawn, mesh) > 0, above & g.mask)  # a convex mesh hides nothing else
+    rows = Draws(wi=drawn.wi.unflatten(0, (1, 3)), distance=drawn.distance.unflatten(0, (1, 3)))
+    assert torch.equal(tb.visibility(g, rows, mesh)[0], tb.visibility(g, drawn, mesh))  # three draws of one light
+    none = Draws(wi=torch.tensor([0.0, math.nan]).reshape(2, 1, 1, 1).expand(2, 6, 8, 3), distance=torch.ones(2, 6, 8, 1))
+    assert not tb.visibility(g, none, mesh).any()
+
+
+def test_what_is_wrong_with_a_sample_is_named():
+    mesh = ball(subdivisions=1)
+    g = seen(mesh, size=(6, 8))
+    wi, far = torch.rand(2, 6, 8, 3), torch.ones(2, 6, 8, 1)
+    with pytest.raises(
+        ValueError, match=r"a sample has wi \[L, \.\.\., 3\] and distance \[L, \.\.\., 1\], found wi \[3\] and distance \[1\]"
+    ):
+        tb.visibility(g, Draws(wi=wi[0, 0, 0], distance=far[0, 0, 0]), mesh)
+    with pytest.raises(ValueError, match=r"a sample has wi .* found wi \[2, 6, 8, 3\] and distance \[6, 8, 1\]"):
+        tb.visibility(g, Draws(wi=wi, distance=far[0]), mesh)
+    with pytest.raises(ValueError, match=r"wi: expected shape \[\.\.\., 3\], found \[2, 6, 8, 1\]"):
+        tb.visibility(g, Draws(wi=far, distance=wi), mesh)
+    with pytest.raises(ValueError, match=r"visibility: batch shapes do not broadcast"):
+        tb.visibility(g, Draws(wi=wi[:, :5], distance=far[:, :5]), mesh)
+    with pytest.raises(TypeError, match=r"lights\[1\]: expected a Value such as tb.PointLight"):
+        tb.visibility(g, [Sun(0.0, 0.0, 1.0), (wi, far)], mesh)

@@ -8,7 +8,7 @@ from test_shade import glossy, sheet, three_lights
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchbrdf as tb
-from torchbrdf import compiling
+from torchbrdf import compiling, torch_compat
 
 
 def test_vmap_over_materials():
@@ -100,7 +100,7 @@ def test_without_a_compiler_there_is_one_warning_and_the_eager_result(monkeypatc
 
 
 def test_with_a_compiler_there_is_no_warning(monkeypatch):
-    monkeypatch.setattr(compiling, "_has_compiler", lambda: True)
+    monkeypatch.setattr(torch_compat, "has_cpp_compiler", lambda: True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         module = tb.compile(torch.nn.Linear(2, 2))
@@ -112,9 +112,9 @@ def test_with_a_compiler_there_is_no_warning(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize(("recompute", "channels"), [(True, 3), (True, 8), (False, 3)])
 def test_compiled_shade_is_eager_shade(recompute, channels):
-    if not compiling._has_compiler():
+    if not torch_compat.has_cpp_compiler():
         pytest.skip("there is no C++ compiler")
-    torch._dynamo.reset()
+    torch.compiler.reset()
     g, material, lights = sheet(32), glossy(channels, 32, 32), three_lights(channels)
     shadows = (torch.rand(3, 32, 32, 1) > 0.3).float()
 
@@ -136,9 +136,9 @@ def test_compiled_shade_is_eager_shade(recompute, channels):
 
 @pytest.mark.slow
 def test_compiled_mirror_is_eager_mirror():
-    if not compiling._has_compiler():
+    if not torch_compat.has_cpp_compiler():
         pytest.skip("there is no C++ compiler")
-    torch._dynamo.reset()
+    torch.compiler.reset()
     g, sky = sheet(16), tb.EnvironmentMap(torch.rand(16, 32, 3))
     material = tb.Mirror([0.9, 0.5, 0.2], tb.Conductor.named("Cu"))
     torch.testing.assert_close(tb.compile(tb.shade)(g, material, sky), tb.shade(g, material, sky), rtol=1e-4, atol=1e-5)

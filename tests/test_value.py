@@ -16,8 +16,11 @@ from safetensors.torch import save_file
 from torch.utils import _pytree as pytree
 
 import torchbrdf as tb
+from torchbrdf import arguments
 from torchbrdf.interval import NONNEGATIVE, REAL, UNIT
 from torchbrdf.value import COLOUR, SCALAR, VECTOR, param, value
+
+META = torch.device("meta")
 
 
 def mixture(*batch):
@@ -51,6 +54,36 @@ def test_to():
     assert all(t.dtype == torch.float64 for t in pytree.tree_leaves(m))
     assert mixture(4).to("meta").terms[0].albedo.device.type == "meta"
     assert mixture(4).to(device="meta", dtype=torch.float16).terms[0].albedo.dtype == torch.float16
+
+
+TO = {
+    "nothing": ((), {}, (None, None, False, False)),
+    "a dtype": ((torch.float16,), {}, (None, torch.float16, False, False)),
+    "a device": (("meta",), {}, (META, None, False, False)),
+    "both": ((META, torch.float64), {}, (META, torch.float64, False, False)),
+    "both, and how": (("meta", torch.float64, True), {}, (META, torch.float64, True, False)),
+    "all in order": (("meta", torch.float64, False, True), {}, (META, torch.float64, False, True)),
+    "a dtype, and how": ((torch.float64, True, False), {}, (None, torch.float64, True, False)),
+    "a tensor": ((torch.empty(1, dtype=torch.bfloat16, device=META),), {}, (META, torch.bfloat16, False, False)),
+    "names": ((), {"device": "meta", "dtype": torch.float16, "non_blocking": True}, (META, torch.float16, True, False)),
+    "a copy": ((), {"copy": True}, (None, None, False, True)),
+    "None": ((None, torch.float16), {"memory_format": torch.preserve_format}, (None, torch.float16, False, False)),
+}
+
+
+@pytest.mark.parametrize("case", TO)
+def test_to_takes_what_tensors_take(case):
+    args, named, expected = TO[case]
+    assert arguments.placement(*args, **named) == expected
+    t = torch.rand(2, 3)
+    found, like = tb.Lambert(t).to(*args, **named).albedo, t.to(*args, **named)
+    assert (found.device, found.dtype, found is t) == (like.device, like.dtype, like is t)
+
+
+@pytest.mark.parametrize("wrong", [torch.int32, "nowhere", 0.5])
+def test_to_refuses_what_tensors_refuse(wrong):
+    with pytest.raises((TypeError, RuntimeError)):
+        tb.Lambert(0.5).to(wrong)
 
 
 def test_detach_and_replace():

@@ -187,7 +187,7 @@ class Brushed(tb.Bsdf):
 
 
 def test_a_brushed_metal_signs():
-    report = tb.testing.check(Brushed([0.5, 0.2], 0.6, 0.35))
+    report = tb.testing.check(Brushed([0.4, 0.2], 0.6, 0.35))
     assert report.ok, f"\n{report}"
 
 
@@ -204,6 +204,34 @@ def test_the_tangent_turns_the_lobe():
     s = brushed.sample(frame.to_world(wo.abs()), u, n, t)
     torch.testing.assert_close(s.pdf, brushed.pdf(s.wi, frame.to_world(wo.abs()), n, t))
     torch.testing.assert_close(frame.to_local(s.wi), brushed.sample(wo.abs(), u).wi)
+
+
+@value
+class Skewed(tb.Bsdf):
+    """f = albedo (2 + sin phi_h) / (3 pi): tells the bitangent from its opposite."""
+
+    albedo: Tensor = param(UNIT, COLOUR, "of the whole")
+    lobes = (tb.Lobe.DIFFUSE_REFLECTION,)
+
+    def formula(self, g):
+        y = g.viewer.to_local(g.half).y * g.inverse_half
+        return tuple(a * (2 + y) / (3 * math.pi) for a in g.colour(self.albedo))
+
+    def density(self, g):
+        return torch.relu(g.cos_i) / math.pi
+
+    def draw(self, viewer, u):
+        return Draw(sampling.cosine_hemisphere(u.x, u.y))
+
+
+def test_a_surface_turned_to_the_viewer_keeps_its_bitangent():
+    """In world space as in the local frame, from both sides."""
+    gen = torch.Generator().manual_seed(0)
+    n, t, wi, wo = (tb.normalize(torch.randn(200, 3, generator=gen, dtype=torch.float64)) for _ in range(4))
+    frame, both = tb.Frame.from_normal(n, t), tb.TwoSided(Skewed(0.5))
+    found = both.evaluate(wi, wo, n, t)
+    torch.testing.assert_close(found, both.evaluate(frame.to_local(wi), frame.to_local(wo)))
+    assert (found > 0).sum() > 60
 
 
 def test_a_tangent_that_is_none_does_not_poison():

@@ -26,12 +26,33 @@ def floats(x: Any, name: str, size: int | None = None) -> Tensor:
 
 
 def hidden(*tensors: Tensor) -> bool:
-    """Whether values cannot be looked at: in graphs, in transforms, on the meta device."""
-    return (
-        torch.compiler.is_compiling()
-        or torch._C._functorch.peek_interpreter_stack() is not None
-        or any(t.is_meta or torch._C._functorch.is_functorch_wrapped_tensor(t) for t in tensors)
-    )
+    """Whether values cannot be looked at: in graphs, in transforms that have wrapped them, on the meta device."""
+    return torch.compiler.is_compiling() or any(t.is_meta or _is_wrapped(t) for t in tensors)
+
+
+def _is_wrapped(t: Tensor) -> bool:
+    """Whether a transform (vmap, grad, jvp) stands between ``t`` and its memory."""
+    try:
+        t.untyped_storage()
+    except (NotImplementedError, RuntimeError):
+        return True
+    return False
+
+
+def placement(
+    *args: Any, device: Any = None, dtype: Any = None, non_blocking: bool = False, copy: bool = False, memory_format: Any = None
+) -> tuple[torch.device | None, torch.dtype | None, bool, bool]:
+    """Device, dtype (None: as it is), ``non_blocking`` and ``copy`` of the arguments of ``Tensor.to``, in whatever form it takes them."""
+    flags = [arg for arg in args if isinstance(arg, bool)]
+    for arg in args[: len(args) - len(flags)]:
+        if isinstance(arg, Tensor):
+            device, dtype = arg.device, arg.dtype
+        elif isinstance(arg, torch.dtype):
+            dtype = arg
+        elif arg is not None:
+            device = arg
+    non_blocking, copy = (*flags, *(non_blocking, copy)[len(flags) :])
+    return None if device is None else torch.device(device), dtype, non_blocking, copy
 
 
 def of_kind(x: Any, name: str, kind: type[Any], example: str) -> Any:
@@ -46,9 +67,9 @@ def _article(name: str) -> str:
     return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
 
 
-def broadcast(shapes: Mapping[str, Sequence[int]], what: str) -> torch.Size:
-    """The shape that all of ``shapes`` broadcast to. (``torch.broadcast_shapes`` imports sympy when first called: only where needed.)"""
-    batched = [s for s in map(torch.Size, shapes.values()) if len(s)]
+def broadcast(shapes: Mapping[str, Sequence[int]], what: str) -> Any:
+    """The shape that all of ``shapes`` broadcast to, a ``torch.Size`` if they are. (``torch.broadcast_shapes`` imports sympy.)"""
+    batched = [s for s in shapes.values() if len(s)]
     if all(s == batched[0] for s in batched):
         return batched[0] if batched else torch.Size()
     try:

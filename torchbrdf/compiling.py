@@ -6,6 +6,8 @@ from typing import Any
 
 import torch
 
+from . import torch_compat
+
 _warned = False
 
 
@@ -18,28 +20,10 @@ def compile(fn: Callable[..., Any], *, fullgraph: bool = True, recompute: bool =
     """
     if not callable(fn):
         raise TypeError(f"compile: expected a function, a plan or a module, found {type(fn).__name__}")
-    if not _has_compiler():
+    if not torch_compat.has_cpp_compiler():
         _warn_once("no C++ compiler (g++) was found: running eagerly, several times slower; install g++ to compile")
         return fn
-    return torch.compile(fn, fullgraph=fullgraph, backend=_recomputing if recompute else "inductor")
-
-
-def _recomputing(graph: torch.fx.GraphModule, inputs: Any) -> Any:
-    """The inductor backend with a budget of 0 for what the forward pass saves."""
-    from torch._inductor.compile_fx import compile_fx
-
-    with torch._functorch.config.patch(activation_memory_budget=0.0):
-        return compile_fx(graph, inputs)
-
-
-def _has_compiler() -> bool:
-    """By inductor's own search: CXX if it is set, else g++ (clang++ on macOS)."""
-    from torch._inductor.cpp_builder import get_cpp_compiler
-
-    try:
-        return bool(get_cpp_compiler())
-    except RuntimeError:  # InvalidCxxCompiler among them
-        return False
+    return torch.compile(fn, fullgraph=fullgraph, backend=torch_compat.recomputing_backend() if recompute else "inductor")
 
 
 def _warn_once(message: str) -> None:

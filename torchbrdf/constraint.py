@@ -60,7 +60,7 @@ class UnitDirection(Constraint):
 
     def contains(self, x: Tensor) -> Tensor:
         d = vector.components(x.double())
-        return (vector.dot(d, d) - 1.0).abs() < numerics.TEXT_DIGITS
+        return (vector.dot(d, d) - 1.0).abs() < _slack(x)
 
     def complaint(self, x: Tensor) -> str:
         bad = int((~self.contains(x)).sum())
@@ -94,7 +94,7 @@ class Rotation(Constraint):
     def contains(self, x: Tensor) -> Tensor:
         turn = x.double()
         off = turn @ turn.transpose(-1, -2) - torch.eye(3, dtype=turn.dtype, device=turn.device)
-        unit = (off.abs() < numerics.TEXT_DIGITS).all(-1).all(-1)
+        unit = (off.abs() < _slack(x)).all(-1).all(-1)
         first, second, third = (vector.components(row) for row in turn.unbind(-2))
         return unit & (vector.dot(vector.cross(first, second), third) > 0)
 
@@ -112,6 +112,11 @@ class Rotation(Constraint):
 
     def draw(self, shape: tuple[int, ...], generator: torch.Generator, dtype: torch.dtype = torch.float64) -> Tensor:
         return self.from_unconstrained(torch.randn(shape, generator=generator, dtype=dtype))
+
+
+def _slack(x: Tensor) -> float:
+    """How far products of unit vectors may be from 0 or 1: numbers come from text files, or have few digits themselves."""
+    return max(numerics.TEXT_DIGITS, 4.0 * torch.finfo(x.dtype).eps)
 
 
 UNIT_DIRECTION, ROTATION = UnitDirection(), Rotation()

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from . import numerics, vector
+from . import numerics, parameters, vector
 from .vector import Vec, add, cross, dot, scale, subtract
 
 Channels = tuple[Tensor, ...]
@@ -18,7 +18,7 @@ Channels = tuple[Tensor, ...]
 
 def each(formula: Callable[..., Tensor], *colours: Sequence[Tensor]) -> Channels:
     """Map a formula over channels; a colour with a single channel serves them all."""
-    count = max(map(len, colours))
+    count = max([len(c) for c in colours])
     if any(len(c) not in (1, count) for c in colours):
         raise ValueError(f"colours have different numbers of channels: {[len(c) for c in colours]}; use one C, or 1")
     return tuple(formula(*(c[k] if len(c) > 1 else c[0] for c in colours)) for k in range(count))
@@ -40,7 +40,7 @@ class Layout(NamedTuple):
     """How colours lie beside numbers ``[...]`` of one dtype and device.
 
     ``wide=False`` takes a colour apart into single channels ``[...]`` (fastest for a few); ``wide=True`` keeps it as one
-    ``[..., C]`` tensor, beside which numbers carry a trailing 1. Parameters without batch axes follow dtype and device.
+    ``[..., C]`` tensor, beside which numbers carry a trailing 1.
     """
 
     wide: bool
@@ -54,7 +54,7 @@ class Layout(NamedTuple):
 
     def colour(self, parameter: Tensor) -> Channels:
         """A parameter ``[..., C]`` as the channels that a formula maps over."""
-        p = self.follow(parameter)
+        p = self.follow(parameter, apart=not self.wide)
         # Not unbind(-1), whose derivative is interleaved memory.
         return (p,) if self.wide else p.movedim(-1, 0).unbind(0) if p.dim() > 1 else p.unbind(0)
 
@@ -64,12 +64,13 @@ class Layout(NamedTuple):
 
     def scalar(self, parameter: Tensor) -> Tensor:
         """A parameter ``[..., 1]`` as a number."""
-        p = self.follow(parameter)
+        p = self.follow(parameter, apart=not self.wide)
         return p if self.wide else p.squeeze(-1)
 
     def average(self, parameter: Tensor) -> Tensor:
         """The mean of a colour ``[..., C]`` as a number."""
-        return self.scalar(parameter.mean(-1, keepdim=True))
+        p = self.follow(parameter, apart=not self.wide).mean(-1, keepdim=True)
+        return p if self.wide else p.squeeze(-1)
 
     def mean(self, channels: Channels) -> Tensor:
         """The mean of channels as a number."""
@@ -96,15 +97,9 @@ class Layout(NamedTuple):
         """A number -> ``[..., 1]``."""
         return x if self.wide else x.unsqueeze(-1)
 
-    def follow(self, parameter: Tensor) -> Tensor:
-        """Half types widened; a parameter without batch axes in the points' dtype and on their device.
-
-        From the CPU, taken apart, it stays there: kernels on other devices take numbers from it, which saves a copy.
-        """
-        if parameter.dim() > 1:
-            return numerics.widen(parameter)
-        stays = parameter.device.type == "cpu" and not self.wide
-        return parameter.to(self.dtype) if stays else parameter.to(self.device, self.dtype)
+    def follow(self, parameter: Tensor, axes: int = 1, apart: bool = False) -> Tensor:
+        """A parameter by the rule of :mod:`~torchbrdf.parameters`."""
+        return parameters.follow(parameter, self.dtype, self.device, axes, apart)
 
 
 class Viewer:
@@ -179,10 +174,11 @@ class Viewer:
 
     @memo
     def facing(self) -> "Viewer":
-        """The same viewer of the surface turned to it; in the local frame, both mirrored at the surface."""
+        """The same viewer of the surface turned to it; in the local frame, both mirrored at the surface. Tangent and bitangent stay."""
         if self.is_local:
             return Viewer(Vec(self.wo.x, self.wo.y, self.wo.z * self.side), layout=self.layout)
-        return Viewer(self.wo, scale(self.n, self.side), self.tangent, self.handedness, self.layout)
+        handedness = self.side if self.handedness is None else self.handedness * self.side
+        return Viewer(self.wo, scale(self.n, self.side), self.tangent, handedness, self.layout)
 
 
 class Geometry:

@@ -39,10 +39,10 @@ class Interval(Constraint):
         return torch.isfinite(x) & above & below
 
     def complaint(self, x: Tensor) -> str:
-        ends = torch.stack(torch.aminmax(x))
-        if bool(self.contains(ends).all()):
+        low, high = (float(end) for end in torch.aminmax(x))
+        if bool(self.contains(torch.tensor([low, high], dtype=x.dtype)).all()):
             return ""
-        (low, high), bad = ends.tolist(), x[~self.contains(x)]
+        bad = x[~self.contains(x)]
         more = f" and {bad.numel() - 1} more" if bad.numel() > 1 else ""
         return f"legal range {self}, found {float(bad[0]):g}{more} (min {low:g}, max {high:g})"
 

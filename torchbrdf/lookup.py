@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from . import arguments, numerics, vector
+from . import arguments, numerics, parameters, vector
 
 WRAPS = ("repeat", "clamp")
 
@@ -26,7 +26,7 @@ def lookup(table: Tensor, coordinates: Sequence[Tensor], wraps: Sequence[str]) -
     corners = [torch.zeros_like(axes[0][0])]
     for (low, high, _), n in zip(axes, sizes, strict=True):
         corners = [corner * n + index for corner in corners for index in (low, high)]
-    fractions = [fraction.to(table.dtype) for _, _, fraction in axes]
+    fractions = [fraction for _, _, fraction in axes]
     planes = table.reshape(-1, table.shape[-1]).unbind(-1)
     return tuple(_blend([p.index_select(0, i) for i in corners], fractions).reshape(coordinates[0].shape) for p in planes)
 
@@ -49,15 +49,17 @@ def _blend(corners: list[Tensor], fractions: list[Tensor]) -> Tensor:
 
 
 def bilinear(texels: Tensor, uv: Tensor, wrap: str = "repeat") -> Tensor:
-    """A picture ``texels [Ht, Wt, C]`` at texture coordinates ``uv [..., 2]``, as ``[..., C]`` in the dtype of the texels.
+    """A picture ``texels [Ht, Wt, C]`` at texture coordinates ``uv [..., 2]``, as ``[..., C]`` in their dtype (float32 for half types).
 
     Row 0 is the top of the picture and v = 0 its bottom edge; u runs to the right; texel centres lie at (i + 1/2)/n.
     """
     arguments.floats(texels, "texels")
+    arguments.floats(uv, "uv", 2)
     if texels.dim() != 3 or not texels.numel():
         raise ValueError(f"texels: expected shape [Ht, Wt, C] with pixels in it, found {list(texels.shape)}")
     if wrap not in WRAPS:
         raise ValueError(f"wrap: found {wrap!r}, legal are {WRAPS}")
     height, width, _ = texels.shape
-    u, v = (numerics.widen(c) for c in arguments.floats(uv, "uv", 2).unbind(-1))
-    return vector.stack(lookup(texels, ((1.0 - v) * height - 0.5, u * width - 0.5), (wrap, wrap)))
+    u, v = (numerics.widen(c) for c in uv.unbind(-1))
+    beside = parameters.follow(texels, u.dtype, uv.device, axes=3)
+    return vector.stack(lookup(beside, ((1.0 - v) * height - 0.5, u * width - 0.5), (wrap, wrap)))

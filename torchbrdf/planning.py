@@ -2,7 +2,7 @@
 
 ``shade`` is plan, prepare and run in one call. Deciding happens at construction, from the kinds of lobes, lights and geometry alone and
 never from data inside a graph, so a planned shader compiles to one full graph. A lobe that no effect serves (a mirror under
-point lights) is left out, and its parameters get no gradient.
+point lights) is left out, and its parameters get gradient 0.
 """
 
 import warnings
@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from . import arguments
 from .bsdf.base import Bsdf
 from .bsdf.lobe import Lobe
 from .effects import check, rows
@@ -96,7 +95,16 @@ class Plan:
                 parts += effect.run(part, surface, rows.rows_of(sources, effect.lights), prepared)
         count = sum(map(len, sources))
         image = rows.apart(parts, surface, channels, count) if per_light else rows.summed(parts, surface, channels)
-        return image.to(g.position.dtype)
+        return self._with_unserved(image, bsdf).to(g.position.dtype)
+
+    def _with_unserved(self, image: Tensor, bsdf: Bsdf) -> Tensor:
+        """The same image, with gradient 0 by parameters of lobes that no effect serves: DistributedDataParallel asks for every gradient."""
+        unserved = [lobe for lobe in self.lobes if not any(e.serves(lobe, kind) for e in self.effects for kind in self.lights)]
+        for part in [p for lobe in unserved if (p := bsdf.select(lobe)) is not None]:
+            for _, t in part.named_tensors():
+                if t.requires_grad:
+                    image = image + t.reshape(-1)[:0].sum()  # of no numbers: exactly 0, whatever t holds
+        return image
 
     def _check_kinds(self, bsdf: Bsdf, lights: Sequence[Light]) -> None:
         """A plan answers for the kinds it was made for; others would be left out without a word."""
@@ -145,7 +153,7 @@ def plan(
     sources = check.as_list(lights)
     check.check_scene(g, bsdf, sources)
     check.check_mesh(mesh)
-    if not arguments.hidden():
+    if not torch.compiler.is_compiling():
         for checked in (bsdf, *sources):
             validate(checked)
         if isinstance(visibility, Tensor):
@@ -175,7 +183,7 @@ def shade(
     sources = check.as_list(lights)
     found = plan(g, bsdf, sources, mesh, tolerance, visibility=visibility, effects=effects, **wishes)
     prepared = found.prepare(g, sources, mesh, visibility, generator)
-    return found(g, bsdf, sources, prepared, per_light=per_light)
+    return Plan.__call__(found, g, bsdf, sources, prepared, per_light=per_light)  # torch to 2.8 hashes what it calls, before it is whole
 
 
 def _each_once(found: Sequence[Any]) -> tuple[Any, ...]:

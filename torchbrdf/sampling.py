@@ -40,7 +40,7 @@ def choose(u: Tensor, shares: list[Tensor]) -> tuple[list[Tensor], Tensor]:
     rest = torch.zeros_like(u)
     for share in shares:
         mine = (u >= below) & (share > 0)
-        chosen = [m & ~mine for m in chosen] + [mine]  # rounding leaves what is above the last share to it
+        chosen = [m & mine.logical_not() for m in chosen] + [mine]  # rounding leaves what is above the last share to it
         rest = torch.where(mine, (u - below) / torch.where(share > 0, share, 1.0), rest)
         below = below + share
     return chosen, numerics.unit_interval(rest).clamp_max(1.0 - torch.finfo(rest.dtype).eps)

@@ -1,5 +1,7 @@
 """Directional albedo by quadrature: the light that arrives along w, followed to wherever it leaves."""
 
+from __future__ import annotations  # of functions made inside graphs, which older compilers could not make
+
 from collections.abc import Callable
 
 import torch

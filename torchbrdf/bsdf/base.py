@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from .. import arguments, numerics, vector
+from .. import arguments, numerics, parameters, vector
 from ..geometry import Channels, Geometry, Layout, Viewer
 from ..optics.fresnel import Fresnel
 from ..value import Value
@@ -44,7 +44,7 @@ class Bsdf(Value):
     def check_shapes(self) -> None:
         """As every value; and what it holds (Fresnel terms, other models) must have the same channels, or 1."""
         super().check_shapes()
-        held = [v for v in self.nested() if isinstance(v, Bsdf | Fresnel)]
+        held = [v for v in self.nested() if isinstance(v, (Bsdf, Fresnel))]
         counts = [("own parameters", self.own_channels), *((type(v).__name__, v.channels) for v in held)]
         if len({c for _, c in counts} - {1}) > 1:
             raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
@@ -84,8 +84,13 @@ class Bsdf(Value):
 
     @property
     def energy_bound(self) -> Tensor | None:
-        """Upper bound ``[..., C]`` of the directional albedo over all directions; None where the model promises none."""
-        return None
+        """Upper bound ``[..., C]`` of the directional albedo over all directions: 1, unless a model knows better.
+
+        It is a promise, and every model makes one: that it reflects no more than this, nor more than it receives (a bound above 1, as a
+        sum of loose bounds may be, does not excuse an albedo above 1). A model that is not meant to conserve energy returns None, which
+        promises nothing, as does every model made of it; ``tb.testing.check`` then reports the largest albedo and does not judge it.
+        """
+        return torch.ones(1, dtype=torch.float64)
 
     def kink_distance(self, g: Geometry) -> Tensor:
         """How far ``[...]`` (in cosines) a geometry is from where f is not smooth: from the horizon, unless a model adds to it.
@@ -116,7 +121,9 @@ class Bsdf(Value):
         from .sampler import mixture_density
 
         g = self.geometry(wi, wo, n, tangent, assume_unit)
-        density = torch.where(self.domain(g), mixture_density(self, g), 0.0)
+        density = mixture_density(self, g)
+        whole = self._whole(torch.broadcast_shapes(density.shape, g.cos_i.shape, g.cos_o.shape))
+        density = torch.where(self.domain(g).expand(whole), density, 0.0)
         return g.viewer.layout.join_number(density).to(wi.dtype)
 
     def sample(
@@ -133,7 +140,8 @@ class Bsdf(Value):
         if u.device != wo.device:
             raise TypeError(f"u: on {u.device} beside wo on {wo.device}; convert it with .to(...)")
         layout = viewer.layout
-        numbers = [layout.lift(numerics.widen(x)) for x in u.unbind(-1)]
+        lifted = [layout.lift(numerics.widen(x)) for x in u.unbind(-1)]
+        numbers = [x.expand(self._whole(x.shape)) for x in lifted]
         s = sample(self, viewer, Vec(numbers[0], numbers[1], numbers[-1]))
         wi = layout.join_vector(s.wi)
         weight, pdf, eta = layout.join(s.weight), layout.join_number(s.pdf), layout.join_number(s.eta)
@@ -148,7 +156,8 @@ class Bsdf(Value):
         """
         if not isinstance(order, int) or order < 1:
             raise ValueError(f"order: expected the number of nodes along one side, a whole number >= 1, found {order!r}")
-        viewer = self.viewer(arguments.floats(w, "w", 3), n, tangent)
+        self._check_directions(w=w, n=n, tangent=tangent)
+        viewer = self._viewer(w, n, tangent, False)
         return viewer.layout.join(self.albedo_at(viewer, order)).to(w.dtype)
 
     # Around them -------------------------------------------------------------------------------------------------------
@@ -161,7 +170,7 @@ class Bsdf(Value):
     @property
     def channels(self) -> int:
         """C, the number of colour channels of the result."""
-        return max(self.own_channels, *(v.channels for v in self.nested() if isinstance(v, Bsdf | Fresnel)), 1)
+        return max(self.own_channels, *(v.channels for v in self.nested() if isinstance(v, (Bsdf, Fresnel))), 1)
 
     def geometry(
         self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, assume_unit: bool = False
@@ -178,6 +187,10 @@ class Bsdf(Value):
         self._check_directions(batch, wo=wo, n=n, tangent=tangent)
         return self._viewer(wo, n, tangent, assume_unit)
 
+    def _whole(self, numbers: torch.Size) -> torch.Size:
+        """The shape of numbers broadcast with the parameters': a density that does not depend on them has their batch axes, too."""
+        return torch.broadcast_shapes(numbers, (*self.batch_shape, 1) if self.is_wide else self.batch_shape)
+
     def _viewer(self, wo: Tensor, n: Tensor | None, tangent: Tensor | None, assume_unit: bool) -> Viewer:
         layout = Layout.beside(wo, self.is_wide)
         normal = None if n is None else _unit(layout, n, assume_unit)
@@ -186,12 +199,12 @@ class Bsdf(Value):
 
     def _check_directions(self, u: tuple[int, ...] = (), **given: Tensor | None) -> None:
         """Directions must be tensors ``[..., 3]`` of one dtype and device, that of the parameters, and broadcast with them."""
-        found = {name: arguments.floats(v, name, 3) for name, v in given.items() if v is not None or name in ("wi", "wo")}
+        found = {name: arguments.floats(v, name, 3) for name, v in given.items() if v is not None or name in ("wi", "wo", "w")}
         first, reference = next(iter(found.items()))
-        check_same_kind(self, reference, first)
+        parameters.check(self, reference, first)
         for name, v in found.items():
             if v.dtype != reference.dtype or v.device != reference.device:
-                raise TypeError(f"{name}: {_kind(v)} beside {first}: {_kind(reference)}; convert one with .to(...)")
+                raise TypeError(f"{name}: {parameters.kind(v)} beside {first}: {parameters.kind(reference)}; convert one with .to(...)")
         shapes = {name: tuple(v.shape[:-1]) for name, v in found.items()} | {"parameters": tuple(self.batch_shape), "u": tuple(u)}
         arguments.broadcast(shapes, "batch shapes")
 
@@ -206,19 +219,6 @@ class Bsdf(Value):
         return Scaled(self, scale)  # type: ignore[arg-type]
 
     __rmul__ = __mul__
-
-
-def _kind(t: Tensor) -> str:
-    return f"{str(t.dtype).removeprefix('torch.')} on {t.device}"
-
-
-def check_same_kind(v: Value, reference: Tensor, name: str) -> None:
-    """Parameters with batch axes must have the dtype and device of ``reference``; those without follow it."""
-    for field, t, spec in v.own_tensors():
-        if spec.batch(t) and (t.dtype != reference.dtype or t.device != reference.device):
-            raise TypeError(f"{type(v).__name__}.{field}: {_kind(t)} beside {name}: {_kind(reference)}; convert one with .to(...)")
-    for inner in v.nested():
-        check_same_kind(inner, reference, name)
 
 
 def _unit(layout: Layout, v: Tensor, assume_unit: bool) -> Vec:

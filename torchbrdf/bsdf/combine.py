@@ -8,6 +8,7 @@ multiplies by a colour ``[..., C]`` >= 0.
 import torch
 from torch import Tensor
 
+from .. import parameters
 from ..geometry import Channels, Geometry, Viewer, each
 from ..interval import Interval
 from ..sampling import choose
@@ -28,7 +29,7 @@ class Sum(Bsdf):
     terms: tuple[Bsdf, ...]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.terms, tuple | list):
+        if not isinstance(self.terms, (tuple, list)):
             raise TypeError(f"Sum.terms: expected one BSDF or more, found {type(self.terms).__name__}")
         if not self.terms or not all(isinstance(t, Bsdf) for t in self.terms):
             raise TypeError(f"Sum.terms: expected one BSDF or more, found {[type(t).__name__ for t in self.terms]}")
@@ -47,7 +48,10 @@ class Sum(Bsdf):
     @property
     def energy_bound(self) -> Tensor | None:
         bounds = [b for t in self.terms if (b := t.energy_bound) is not None]
-        return sum(bounds[1:], bounds[0]) if len(bounds) == len(self.terms) else None
+        if len(bounds) < len(self.terms):
+            return None
+        bounds = parameters.alike(*bounds)
+        return sum(bounds[1:], bounds[0])
 
     def kink_distance(self, g: Geometry) -> Tensor:
         return nearest(*(t.kink_distance(g) for t in self.terms))
@@ -135,7 +139,7 @@ class Scaled(Bsdf):
     @property
     def energy_bound(self) -> Tensor | None:
         bound = self.inner.energy_bound
-        return None if bound is None else bound * self.factor
+        return None if bound is None else torch.mul(*parameters.alike(bound, self.factor))
 
     def kink_distance(self, g: Geometry) -> Tensor:
         return self.inner.kink_distance(g)

@@ -36,13 +36,14 @@ from torch import Tensor
 
 from .. import numerics, sampling, vector
 from ..geometry import Channels, Geometry, Viewer, each
-from ..interval import NONNEGATIVE, Interval
+from ..interval import Interval
 from ..optics.fresnel import Fresnel
 from ..value import COLOUR, SCALAR, param, value
 from ..vector import Vec
 from .base import Bsdf, nearest
 from .lobe import Draw, Lobe
 
+STRENGTH = Interval(0.0, typical=(0.1, 0.9))  # any is legal; up to 1 no light is made
 EXPONENT = Interval(0.0, typical=(1.0, 200.0), hard=(0.5, 1e7))
 NORMALIZATIONS = {
     "none": lambda s: torch.ones_like(s),
@@ -55,7 +56,7 @@ NORMALIZATIONS = {
 class Phong(Bsdf):
     """``specular N(s) F(wi.h) (wi.R(wo))^s`` with the normalisation ``"modified"``, ``"bound"`` or ``"none"``."""
 
-    specular: Tensor = param(NONNEGATIVE, COLOUR, "strength k")
+    specular: Tensor = param(STRENGTH, COLOUR, "strength k")
     exponent: Tensor = param(EXPONENT, SCALAR, "s")
     fresnel: Fresnel | None = None
     normalization: str = "modified"

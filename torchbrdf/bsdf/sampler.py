@@ -1,5 +1,7 @@
 """Sampling, written once for all models: choose among lobes, draw one direction, then one density and one formula for it."""
 
+from __future__ import annotations  # of functions made inside graphs, which older compilers could not make
+
 from typing import NamedTuple
 
 import torch

@@ -22,6 +22,7 @@ Source: the ``twosided`` adapter of Mitsuba (Jakob 2010).
 import torch
 from torch import Tensor
 
+from .. import parameters
 from ..geometry import Channels, Geometry, Viewer, each
 from ..value import value
 from ..vector import Vec
@@ -61,7 +62,7 @@ class TwoSided(Bsdf):
     @property
     def energy_bound(self) -> Tensor | None:
         bounds = [b for s in self.sides if (b := s.energy_bound) is not None]
-        return None if len(bounds) < len(self.sides) else bounds[0] if len(bounds) == 1 else torch.maximum(*bounds)
+        return None if len(bounds) < len(self.sides) else bounds[0] if len(bounds) == 1 else torch.maximum(*parameters.alike(*bounds))
 
     def select(self, wanted: Lobe) -> Bsdf | None:
         kept = [s.select(wanted) for s in self.sides]

@@ -91,9 +91,10 @@ class Surface(NamedTuple):
 
         n, wo = (vector.normalize_components(parts(v)) for v in (g.normal, g.require_view()))
         tangent = None if g.tangent is None else parts(g.tangent)
+        handedness = None if g.handedness is None else layout.lift(g.handedness.squeeze(-1))
         mask = None if g.mask is None else layout.lift(g.mask.squeeze(-1))
         position = Vec(*map(numerics.finite_or_zero, parts(g.position)))
-        return Surface(position, Viewer(wo, n, tangent, layout=layout), mask, g.batch_shape)
+        return Surface(position, Viewer(wo, n, tangent, handedness, layout), mask, g.batch_shape)
 
     def cosine(self, bsdf: Bsdf, g: Geometry) -> Tensor:
         """``|cos_i|`` where ``bsdf`` sends light from ``g.wi`` to the viewer of a surface that is there; exactly 0 elsewhere.

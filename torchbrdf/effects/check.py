@@ -6,7 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..bsdf.base import Bsdf, check_same_kind
+from .. import arguments, parameters
+from ..bsdf.base import Bsdf
 from ..light.base import Light, LightKind
 from ..scene.gbuffer import GBuffer
 from ..scene.mesh import Mesh
@@ -41,32 +42,25 @@ def check_scene(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int:
     counts = {"bsdf": bsdf.channels, **{f"lights[{k}]": light.channels for k, light in enumerate(lights)}}
     if len(set(counts.values()) - {1}) > 1:
         raise ValueError(f"bsdf and lights have different numbers of colour channels: {counts}; use one C, or 1")
-    return max(counts.values())
+    return max(list(counts.values()))
 
 
 def check_mesh(mesh: Mesh | None) -> None:
     """What casts shadows must be a mesh (its values are looked at when the first ray is cast)."""
-    if not isinstance(mesh, Mesh | None):
+    if mesh is not None and not isinstance(mesh, Mesh):
         raise TypeError(f"mesh: {_expected(mesh, 'a mesh', 'tb.load_mesh(path)')}")
 
 
 def _check_kinds(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
-    """Parameters per pixel have the dtype and device of the pixels; lights follow in dtype, and from the CPU in device too."""
+    """The rule for parameters; the G-buffer's own fields match its positions."""
     at = g.position
     g.require_view()
     for name, t, _ in g.own_tensors():
         if t.device != at.device or (name in ("normal", "view", "tangent") and t.dtype != at.dtype):
-            raise TypeError(f"GBuffer.{name}: {_kind(t)} beside position: {_kind(at)}; convert one with .to(...)")
-    check_same_kind(bsdf, at, "the G-buffer's position")
+            raise TypeError(f"GBuffer.{name}: {parameters.kind(t)} beside position: {parameters.kind(at)}; convert one with .to(...)")
+    parameters.check(bsdf, at, "the G-buffer's position")
     for light in lights:
-        for name, t, _ in light.own_tensors():
-            if t.device != at.device and t.device.type != "cpu":
-                where = f"{type(light).__name__}.{name}"
-                raise TypeError(f"{where}: on {t.device} beside a G-buffer on {at.device}; move one with .to(...)")
-
-
-def _kind(t: Tensor) -> str:
-    return f"{str(t.dtype).removeprefix('torch.')} on {t.device}"
+        parameters.check(light, at, "the G-buffer's position", batched=False)
 
 
 def _expected(found: Any, what: str, example: str) -> str:
@@ -94,7 +88,7 @@ def check_visibility(shadows: Tensor, lights: Sequence[Light], g: GBuffer) -> Te
 
 def check_visible_share(shadows: Tensor) -> None:
     """Visibility is the share of a light that arrives. Looks at values: not for graphs or transforms."""
-    if shadows.is_meta or not shadows.numel() or shadows.dtype == torch.bool or shadows.is_complex():
+    if arguments.hidden(shadows) or not shadows.numel() or shadows.dtype == torch.bool or shadows.is_complex():
         return
     low, high = (float(x) for x in torch.aminmax(shadows.detach()))
     if not (low >= 0 and high <= 1):
@@ -103,4 +97,5 @@ def check_visible_share(shadows: Tensor) -> None:
 
 def expands_to(shape: torch.Size, full: torch.Size) -> bool:
     """Whether a shape broadcasts to ``full`` without changing it."""
-    return len(shape) <= len(full) and all(a in (1, b) for a, b in zip(reversed(shape), reversed(full), strict=False))
+    extra = len(full) - len(shape)
+    return extra >= 0 and not [a for a, b in zip(shape, full[extra:], strict=True) if a not in (1, b)]

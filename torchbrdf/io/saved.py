@@ -10,7 +10,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils import _pytree as pytree
 
 from .. import vector
 
@@ -19,10 +18,10 @@ _TENSOR = "$tensor"  # no field of a value can bear this name
 
 
 def write(path: str | Path, value: Any) -> None:
-    """Write ``value``, a pytree of tensors whose ``state()`` is otherwise plain data."""
+    """Write ``value``, which answers ``named_tensors()``, and whose ``state()`` is otherwise plain data."""
     from safetensors.torch import save_file
 
-    names = {id(t): pytree.keystr(where).removeprefix(".") for where, t in pytree.tree_leaves_with_path(value)}
+    names = {id(t): where for where, t in value.named_tensors()}
     tensors: dict[str, Tensor] = {}
 
     def store(t: Any) -> dict[str, Any]:

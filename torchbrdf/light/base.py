@@ -17,7 +17,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from .. import arguments, numerics, vector
+from .. import arguments, numerics, parameters, vector
 from ..geometry import Channels, Layout
 from ..value import Value
 from ..vector import Vec
@@ -117,6 +117,7 @@ class DeltaLight(Light):
     def sample(self, points: Tensor, u: Tensor | None = None) -> LightSample:
         """``radiance`` is the irradiance on a plane facing the light; ``u`` is not needed."""
         layout = Layout.beside(arguments.floats(points, "points", 3))
+        parameters.check(self, points, "points", batched=False)
         at = layout.vector(numerics.widen(points))
         found = self.arrive(at, layout)
         shape = (len(self), *points.shape[:-1])
@@ -135,7 +136,7 @@ class DeltaLight(Light):
 
     def axis(self, parameter: Tensor, points: Vec, layout: Layout) -> tuple[Tensor, ...]:
         """The columns of a parameter ``[L, k]`` beside points ``[...]``: ``[L, 1, ...]``, or ``[]`` of a single light."""
-        rows = numerics.widen(parameter).to(points.x)
+        rows = layout.follow(parameter, axes=2)
         columns = rows.expand(len(self), rows.shape[-1]).unbind(-1)
         if len(self) == 1:
             return tuple(c.squeeze(0) for c in columns)

@@ -41,8 +41,9 @@ from typing import NamedTuple, Self
 import torch
 from torch import Tensor
 
-from .. import arguments, numerics, sampling, vector
+from .. import arguments, numerics, parameters, sampling, vector
 from ..constraint import ROTATION
+from ..geometry import Layout
 from ..interval import NONNEGATIVE
 from ..io.pictures import read_image
 from ..lookup import lookup
@@ -121,13 +122,13 @@ class EnvironmentMap(Light):
 
     def radiance(self, wi: Tensor, points: Tensor | None = None) -> Tensor:
         """Radiance ``[..., C]``, W/(m² sr), arriving from ``wi [..., 3]``, which point to the sky and need not be unit."""
-        if arguments.floats(wi, "wi", 3).device != self.texels.device:
-            raise TypeError(f"EnvironmentMap.texels: on {self.texels.device} beside wi on {wi.device}; move it with .to(...)")
+        parameters.check(self, arguments.floats(wi, "wi", 3), "wi", batched=False)
         d = vector.normalize_components(vector.components(numerics.widen(wi)))
         usable = vector.dot(d, d) > 0
         u, v = self.coordinates(d)
-        height, width, _ = self.texels.shape
-        found = lookup(self.texels.to(d.x.dtype), (v * height - 0.5, u * width - 0.5), ("clamp", "repeat"))
+        texels = Layout.beside(wi).follow(self.texels, axes=3)
+        height, width, _ = texels.shape
+        found = lookup(texels, (v * height - 0.5, u * width - 0.5), ("clamp", "repeat"))
         return vector.stack([torch.where(usable, c, 0.0) for c in found]).to(wi.dtype)
 
     def coordinates(self, d: Vec) -> tuple[Tensor, Tensor]:

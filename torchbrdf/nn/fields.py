@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from .. import arguments, vector
 from ..constraint import Constraint
+from ..geometry import Layout
 from ..interval import REAL
 from ..scene.gbuffer import GBuffer
 
@@ -41,6 +42,12 @@ class Stored(Field):
         except (TypeError, ValueError, RuntimeError) as error:
             kind, found = type(self).__name__, type(init).__name__
             raise TypeError(f"{kind}: expected a number, list, array or tensor, found {found} ({error})") from None
+        if isinstance(init, Tensor) and init.requires_grad:
+            kind = type(self).__name__
+            raise TypeError(
+                f"{kind}: expected a start, found a tensor that requires a gradient, which a copy of it could not give; "
+                "pass x.detach(), or give x itself to tb.nn.Material (a texture by tb.bilinear)"
+            )
         if not start.numel() or start.is_complex():
             raise ValueError(f"{type(self).__name__}: expected real numbers, one at least, found {start.dtype} {list(start.shape)}")
         keeps = isinstance(init, Tensor) and init.is_floating_point()  # numbers, lists and arrays take torch's default dtype
@@ -87,6 +94,23 @@ class Constant(Stored):
         return self.value
 
 
+class Given(Field):
+    """A tensor that somebody else differentiates by, used as it is; an ``nn.Parameter`` is registered. Its owner keeps it legal."""
+
+    def __init__(self, tensor: Tensor) -> None:
+        super().__init__()
+        self.tensor = tensor
+
+    def bind(self, constraint: Constraint, where: str) -> None:
+        """Check the start against the range."""
+        wrong = "" if self.tensor.is_meta else constraint.complaint(self.tensor.detach())
+        if wrong:
+            raise ValueError(f"{where}: {wrong}; {constraint.remedy}")
+
+    def forward(self, g: GBuffer) -> Tensor:
+        return self.tensor
+
+
 class Learned(Stored):
     """A learned value ``[C]`` (or one per pixel, ``[H, W, C]``), started at ``init`` (to rounding; beside it, where it has no slope)."""
 
@@ -111,7 +135,9 @@ class PerMaterial(Stored):
             raise ValueError("PerMaterial: this G-buffer has no material ids; load a mesh with material= per face, or use tb.nn.Learned")
         ids = g.material.squeeze(-1).clamp_min(0)
         self._check_ids(ids)
-        return vector.stack([column.index_select(0, ids.reshape(-1)).reshape(ids.shape) for column in self.value.unbind(-1)])
+        table = Layout.beside(g.position).follow(self.value, axes=2)
+        found = [column.index_select(0, ids.reshape(-1)).reshape(ids.shape) for column in table.unbind(-1)]
+        return vector.stack(found).to(g.position.dtype)
 
     def _check_ids(self, ids: Tensor) -> None:
         """Where values can be looked at; elsewhere an id beyond the table ends in an index error of torch."""

@@ -3,20 +3,21 @@
 import dataclasses
 from typing import Any
 
-from torch import nn
+from torch import Tensor, nn
 
 from ..bsdf.base import Bsdf
 from ..scene.gbuffer import GBuffer
 from ..value import Value
-from .fields import Constant, Field
+from .fields import Constant, Field, Given
 
 
 class Material(nn.Module):
     """``Material(tb.Lambert, albedo=tb.nn.Texture(...))``: ``material(g)`` is a ``Lambert`` at every pixel of ``g``.
 
     A parameter may be a :class:`Field`, any other module that answers to a G-buffer (such as a network, which then keeps to the
-    legal range itself), a number or tensor (held constant), or, where the model takes a value such as a Fresnel term, another
-    ``Material`` or that value itself. Such values, names and flags pass through as they are.
+    legal range itself), a number or tensor (held constant; one that requires a gradient is used as it is, and an ``nn.Parameter``
+    registered), or, where the model takes a value such as a Fresnel term, another ``Material`` or that value itself. The tensors of such
+    a value follow the module and stand in its state_dict; names and flags pass through as they are.
     """
 
     def __init__(self, model: type[Value], **parameters: Any) -> None:
@@ -41,7 +42,9 @@ class Material(nn.Module):
     def _take(self, name: str, given: Any) -> None:
         spec = self.model.params().get(name)
         if spec is not None and given is not None and not isinstance(given, nn.Module):
-            given = Constant(given)
+            given = Given(given) if isinstance(given, Tensor) and given.requires_grad else Constant(given)
+        if isinstance(given, Value):
+            given = Held(given)
         if isinstance(given, Field) and spec is not None:
             given.bind(spec.constraint, f"{self.model.__name__}.{name}")
         if isinstance(given, nn.Module):
@@ -58,6 +61,29 @@ class Material(nn.Module):
 
     def extra_repr(self) -> str:
         return ", ".join([self.model.__name__, *(f"{k}={v!r}" for k, v in self.fixed.items())])
+
+
+class Held(nn.Module):
+    """A value as it is: its tensors are buffers (or parameters, where they are ``nn.Parameter``)."""
+
+    def __init__(self, value: Value) -> None:
+        super().__init__()
+        self.value, self.names = value.detach(), []
+        for path, t in value.named_tensors():
+            name = f"held_{path.translate(str.maketrans('.[', '__', ']'))}"  # no attribute of a module is called so
+            self.names.append(name)
+            if isinstance(t, nn.Parameter):
+                self.register_parameter(name, t)
+            else:
+                self.register_buffer(name, t)
+
+    def forward(self, g: GBuffer) -> Any:
+        """The value, with the tensors as they are now."""
+        tensors = iter([getattr(self, name) for name in self.names])
+        return self.value.map(lambda _: next(tensors))
+
+    def extra_repr(self) -> str:
+        return repr(self.value)
 
 
 class MaterialSum(nn.Module):

@@ -35,7 +35,7 @@ class Texture(Stored):
         arguments.of_kind(g, "g", GBuffer, "tb.GBuffer.from_mesh(mesh, camera)")
         if g.uv is None:
             raise ValueError("Texture: this G-buffer has no uv; give the mesh texture coordinates, or use tb.nn.Learned")
-        return self.at(g.uv)
+        return self.at(g.uv).to(g.position.dtype)
 
     @property
     def texels(self) -> Tensor:
@@ -48,7 +48,7 @@ class Texture(Stored):
         return rgb_to_linear_rgb(planes.expand(3, -1, -1))[: len(planes)].movedim(0, -1)
 
     def at(self, uv: Tensor) -> Tensor:
-        """Bilinear look-up ``[..., C]`` at ``uv [..., 2]``."""
+        """Bilinear look-up ``[..., C]`` at ``uv [..., 2]``, in its dtype (float32 for half types) and on its device."""
         return bilinear(self.texels, uv, self.wrap)
 
     def extra_repr(self) -> str:

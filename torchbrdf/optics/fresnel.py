@@ -22,7 +22,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .. import numerics
+from .. import arguments, numerics, parameters
 from ..geometry import Channels, Layout, each
 from ..interval import UNIT, Interval
 from ..value import COLOUR, Value, param, value
@@ -192,6 +192,7 @@ class Fresnel(Value):
 
     def reflectance(self, cos_i: Tensor) -> Tensor:
         """Reflectance ``[..., C]`` at ``cos_i [..., 1]``."""
+        parameters.check(self, arguments.floats(cos_i, "cos_i"), "cos_i")
         z = numerics.unit_interval(numerics.widen(cos_i.squeeze(-1) if cos_i.shape[-1:] == (1,) else _need_trailing_one(cos_i)))
         return stack(self.terms(Layout.beside(z), z)).to(cos_i.dtype)
 

@@ -17,6 +17,7 @@ convention      camera axes of ``world_to_camera``
 torch.Size([4, 6, 3])
 """
 
+import functools
 import math
 import warnings
 from typing import Any, Self
@@ -24,7 +25,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
-from .. import arguments, vector
+from .. import arguments, numerics, vector
 from ..constraint import ROTATION
 from ..interval import REAL, Interval
 from ..value import PAIR, VECTOR, Value, param, value
@@ -71,17 +72,20 @@ class Camera(Value):
         """Camera at ``eye [..., 3]`` that looks at ``target [..., 3]`` with ``up [..., 3]`` upwards in the image.
 
         ``fov_y`` is the full vertical field of view in degrees, a number or ``[..., 1]``, in (0, 180); ``fov_x``, where given, the
-        horizontal one in its place (Mitsuba's ``fov``, Blender's of a wide image). ``size`` is (height, width); pixels are square. Not
-        smooth (an error where values can be seen) for ``eye == target`` and for ``up`` along the view.
+        horizontal one in its place (Mitsuba's ``fov``, Blender's of a wide image). ``size`` is (height, width); pixels are square. The
+        camera has the dtype of the tensors among eye, target and up (float32 for half types); numbers and lists follow, and are float64
+        alone. Not smooth (an error where values can be seen) for ``eye == target`` and for ``up`` along the view.
         """
-        eye, target, up = (_floats(x, name) for x, name in ((eye, "eye"), (target, "target"), (up, "up")))
+        named = {"eye": eye, "target": target, "up": up}
+        dtype = _common_dtype(*named.values())
+        eye, target, up = (_floats(x, name).to(dtype) for name, x in named.items())
         arguments.broadcast({n: x.shape[:-1] for n, x in (("eye", eye), ("target", target), ("up", up))}, "look_at: batch shapes")
         forward = vector.normalize_components(vector.subtract(components(target), components(eye)))
         right = vector.normalize_components(cross(forward, components(up)))
         _check_look_at(stack(forward), stack(right))
         height, width = _image_size(size)
         angle = _angle(fov_y, "fov_y") if fov_x is None else _angle(fov_x, "fov_x")
-        focal = (0.5 * (height if fov_x is None else width)) / torch.tan(angle.to(eye.device) * (math.pi / 360.0))
+        focal = (0.5 * (height if fov_x is None else width)) / torch.tan(angle.to(eye) * (math.pi / 360.0))
         centre = torch.tensor([0.5 * width, 0.5 * height], dtype=eye.dtype, device=eye.device)
         axes = torch.stack([stack(axis) for axis in (right, cross(forward, right), forward)], -2)
         return Camera(eye, axes, focal.expand(*focal.shape[:-1], 2), centre, (height, width))
@@ -168,6 +172,13 @@ def _image_size(size: Any) -> tuple[int, int]:
     return sides
 
 
+def _common_dtype(*given: Any) -> torch.dtype:
+    """That of the tensors and arrays given, wide enough to compute in."""
+    kinds = [torch.as_tensor(x).dtype for x in given if hasattr(x, "dtype")]
+    kinds = [k for k in kinds if k in arguments.FLOATS]
+    return numerics.working_dtype(functools.reduce(torch.promote_types, kinds)) if kinds else torch.float64
+
+
 def _floats(x: Any, name: str) -> Tensor:
     try:
         t = x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=None if hasattr(x, "dtype") else torch.float64)
@@ -212,7 +223,7 @@ def _check_matrices(k: Tensor, pose: Tensor, name: str) -> None:
         raise ValueError(f"from_matrix: {name}: expected shape [..., 4, 4] or [..., 3, 4], found {list(pose.shape)}")
     if not _all(torch.isfinite(k).all(-1).all(-1)) or not _all(torch.isfinite(pose).all(-1).all(-1)):
         raise ValueError(f"from_matrix: K or {name} holds numbers that are not finite")
-    if pose.shape[-2] == 4 and not _all(pose[..., 3, :] == pose.new_tensor([0.0, 0.0, 0.0, 1.0])):
+    if pose.shape[-2] == 4 and not _all((pose[..., 3, :] - pose.new_tensor([0.0, 0.0, 0.0, 1.0])).abs() < numerics.TEXT_DIGITS):
         found = pose.detach()[..., 3, :].reshape(-1, 4)[0].tolist()
         raise ValueError(f"from_matrix: {name}: expected the last row [0, 0, 0, 1], found {found}; transpose a matrix for row vectors")
     if not _all((k[..., 0, 0] > 0) & (k[..., 1, 1] > 0)):

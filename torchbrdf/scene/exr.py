@@ -1,7 +1,8 @@
 """G-buffers in EXR files: our own, Mitsuba's AOVs, Blender's passes. What a file leaves open is assumed aloud, in one line.
 
 Our own files are one part of float32 channels: ``position.X/.Y/.Z``, ``normal``, ``view``, ``geometric_normal``, ``tangent`` and
-``barycentric`` alike, ``uv.U/.V``, ``depth.T`` (distance along the ray, named as Mitsuba does), ``mask``, ``triangle``, ``material``.
+``barycentric`` alike, ``uv.U/.V``, ``depth.T`` (distance along the ray, named as Mitsuba does), ``mask``, ``triangle``, ``material``,
+``handedness``.
 
 ==================  ====================================================  =========================================================
 file                layers                                                what is done with them
@@ -35,7 +36,7 @@ FAR = 1e9  # Blender writes 1e10 where there is no surface
 WHOLE = 0.95  # length of an averaged normal from which a pixel counts as one surface
 _CHANNELS = {
     **dict.fromkeys(("position", "normal", "view", "geometric_normal", "tangent", "barycentric"), "XYZ"),
-    **{"uv": "UV", "depth": "T", "mask": "", "triangle": "", "material": ""},
+    **{"uv": "UV", "depth": "T", "mask": "", "triangle": "", "material": "", "handedness": ""},
 }
 _OURS = {"mask", *(f"{field}.{c}" for field in ("position", "normal") for c in "XYZ")}  # a file with these is one of our own
 _LARGEST_ID = 1 << 24  # float32 holds every whole number up to here

@@ -13,6 +13,7 @@ from .camera import Camera
 from .mesh import Mesh
 
 INDEX = Interval(0.0)
+SIGN = Interval(-1.0, 1.0)
 
 
 @value
@@ -34,6 +35,7 @@ class GBuffer(Value):
     triangle: Tensor | None = param(REAL, SCALAR, "face index, -1 for none", default=None, kind="int")
     barycentric: Tensor | None = param(REAL, VECTOR, "weights of the face's three vertices", default=None)
     material: Tensor | None = param(INDEX, SCALAR, "material id, 0 where there is no surface", default=None, kind="int")
+    handedness: Tensor | None = param(SIGN, SCALAR, "1, or -1 where v grows against n x tangent (mirrored uv); 0: none", default=None)
 
     @staticmethod
     def from_mesh(mesh: Mesh, camera: Camera) -> "GBuffer":
@@ -42,13 +44,54 @@ class GBuffer(Value):
         Derivatives w.r.t. vertices and camera are those at a fixed pixel and triangle: true inside a triangle, blind to what
         moves across its edges. Pixels without a surface, or on a degenerate triangle, are 0 with gradient 0 and masked out.
         """
-        from .intersect import gbuffer_fields
+        from .intersect import ray_fields
 
         arguments.of_kind(mesh, "mesh", Mesh, "tb.load_mesh(path)")
-        validate(arguments.of_kind(camera, "camera", Camera, "tb.Camera.look_at(eye, target, up)"))
-        if any(t.is_meta for _, t, _ in camera.own_tensors()):
-            raise TypeError("camera: on the meta device, where there are no values; move it with .to(...)")
-        return GBuffer(**gbuffer_fields(mesh, camera))
+        _check_camera(camera)
+        return GBuffer(**ray_fields(mesh, *camera.to_double(mesh.vertices.device).rays()))
+
+    @staticmethod
+    def from_rays(mesh: Mesh, origin: "Tensor | GBuffer", direction: Tensor) -> "GBuffer":
+        """What rays from ``origin [..., 3]`` along ``direction [..., 3]`` (any length) first meet of ``mesh``: a G-buffer ``[...]``.
+
+        The shapes broadcast. All fields are those of :meth:`from_mesh`, in the dtype and on the device of the vertices; ``view``
+        is ``-direction``, ``depth`` the distance from the origin. Rays that start on a surface would meet it again by rounding:
+        pass the G-buffer of that surface as ``origin``, and they leave it, on the side that ``direction`` points to. A mirror, for
+        example, shows ``GBuffer.from_rays(mesh, g, tb.reflect(g.view, g.normal))``. Pixels of such a G-buffer that are not valid
+        send no ray; positions that are off the mesh are corrected as :func:`visibility` does.
+
+        Derivatives w.r.t. vertices, origin (or ``g.position``) and direction are those at a fixed triangle. A ray that meets nothing
+        gives 0 with gradient 0, masked out, and so does one whose direction is zero or not finite, or whose origin is not finite.
+        """
+        from .intersect import ray_fields, usable_rays
+        from .start import leave
+
+        arguments.of_kind(mesh, "mesh", Mesh, "tb.load_mesh(path)")
+        surface = origin if isinstance(origin, GBuffer) else None
+        points = origin if surface is None else surface.position.expand(*surface.batch_shape, 3)
+        points = _visible(arguments.floats(points, "origin", 3), "origin")
+        o, d = usable_rays(mesh, points, _visible(arguments.floats(direction, "direction", 3), "direction"))
+        return GBuffer(**ray_fields(mesh, *((o, d) if surface is None else leave(surface, mesh, o, d))))
+
+    @staticmethod
+    def from_triangles(
+        mesh: Mesh, triangle: Tensor, barycentric: Tensor, camera: Camera | None = None, origin: Tensor | None = None
+    ) -> "GBuffer":
+        """Points that a rasteriser found: ``triangle [..., 1]``, whole numbers, -1 for none, and ``barycentric [..., 2]`` or ``[..., 3]``.
+
+        The weights are those of the face's vertices 0 and 1, and 1 minus both that of vertex 2; or those of all three. nvdiffrast's
+        ``rast`` holds them so: ``from_triangles(mesh, (rast[..., 3:] - 1).long(), rast[..., :2], camera)``; its rows stay as they are
+        (nvdiffrast's first row is the bottom one). ``camera``, whose batch axes are the leading ones, or the viewpoint
+        ``origin [..., 3]`` gives ``view`` and ``depth``; without, both are None. All else is as in :meth:`from_mesh`, and
+        differentiable w.r.t. vertices, weights and viewpoint. Points on a degenerate triangle, and those of weights that are not
+        finite, are 0 with gradient 0 and masked out. Ids beyond the mesh, floats as ids and other shapes are each one error.
+        """
+        from .rasterized import triangle_fields, viewpoint
+
+        arguments.of_kind(mesh, "mesh", Mesh, "tb.load_mesh(path)")
+        if camera is not None:
+            _check_camera(camera)
+        return GBuffer(**triangle_fields(mesh, triangle, barycentric, viewpoint(triangle, camera, origin)))
 
     @property
     def valid(self) -> Tensor:
@@ -80,3 +123,18 @@ class GBuffer(Value):
         from .exr import load_gbuffer
 
         return load_gbuffer(path, camera, names)
+
+
+def _check_camera(camera: Any) -> None:
+    """Ranges are looked at where values can be seen: not in graphs."""
+    arguments.of_kind(camera, "camera", Camera, "tb.Camera.look_at(eye, target, up)")
+    tensors = [_visible(t, "camera") for _, t, _ in camera.own_tensors()]
+    if not arguments.hidden(*tensors):
+        validate(camera)
+
+
+def _visible(t: Tensor, name: str) -> Tensor:
+    """A tensor that has values: rays are cast from there."""
+    if t.is_meta:
+        raise TypeError(f"{name}: on the meta device, where there are no values; move it with .to(...)")
+    return t

@@ -107,7 +107,8 @@ def _held(geometry: Any) -> int:
 
 def _placed(scene: Any) -> list[tuple[Any, np.ndarray]]:
     """The scene graph laid flat. (trimesh walks up from every node, which takes the square of the depth, and circles on.)"""
-    edges = scene.graph.to_edgelist()
+    root = scene.graph.base_frame
+    edges = [edge for edge in scene.graph.to_edgelist() if (edge[0], edge[1]) != (root, root)]  # trimesh 4 joins the root to itself
     above = {child: (parent, np.asarray(data.get("matrix", np.eye(4))), data.get("geometry")) for parent, child, data in edges}
     world: dict[Any, np.ndarray] = {}
     for node in above:

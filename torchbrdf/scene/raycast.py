@@ -4,6 +4,7 @@ It answers only *which* triangle a ray meets; everything that carries gradients 
 Values hold no ray caster: it is kept here, beside the mesh it belongs to, and goes when the mesh goes.
 """
 
+import functools
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -11,11 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .. import vector
+
 if TYPE_CHECKING:
     from .mesh import Mesh
 
-# mesh -> (state of its tensors, caster). Weak keys: copies, pickles and transforms of a mesh never see this.
-_CASTERS: "WeakKeyDictionary[Mesh, tuple[tuple[int, ...], RayCaster]]" = WeakKeyDictionary()
+# mesh -> (copies of its tensors, caster). Weak keys: copies, pickles and transforms of a mesh never see this.
+_CASTERS: "WeakKeyDictionary[Mesh, tuple[tuple[Tensor, ...], RayCaster]]" = WeakKeyDictionary()
 
 NOTHING = -1  # the triangle of a ray that meets none
 
@@ -39,6 +42,7 @@ class RayCaster:
         half_diagonal = 0.5 * float(np.linalg.norm(high - low))
         self.scale = half_diagonal if half_diagonal > 0 else 1.0
         self._scene = EmbreeScene(robust=True)
+        self._corners = points[corners.T]
         self._points = np.ascontiguousarray((points - self.centre) / self.scale, dtype=np.float32)
         self._mesh = TriangleMesh(self._scene, self._points, np.ascontiguousarray(corners, dtype=np.int32))
         self.first_hit(torch.zeros(1, 3), torch.ones(1, 3))  # the tree is built by the first ray
@@ -61,6 +65,13 @@ class RayCaster:
         found = self._scene.run(_single(start), _single(along), dists=_single(limit))
         return torch.from_numpy(np.asarray(found) != NOTHING).reshape(shape).to(origin.device)
 
+    @functools.cached_property
+    def planes(self) -> Tensor:
+        """Planes ``[4, F]`` (float64, in the space of the mesh): unit normal n, and n.p of their points; 0 where a triangle has no area."""
+        a, b, c = self._corners
+        normal = vector.normalize(torch.from_numpy(np.cross(b - a, c - a)))
+        return torch.cat([normal.t(), (normal * torch.from_numpy(a)).sum(-1).unsqueeze(0)])
+
     def _to_unit(self, origin: Tensor, direction: Tensor) -> tuple[np.ndarray, np.ndarray, torch.Size]:
         shape = torch.broadcast_shapes(origin.shape, direction.shape)
         o, d = (t.detach().to("cpu", torch.float64).expand(shape).reshape(-1, 3).numpy() for t in (origin, direction))
@@ -72,16 +83,18 @@ def _single(x: np.ndarray) -> np.ndarray:
 
 
 def caster_of(mesh: "Mesh") -> RayCaster:
-    """The caster of ``mesh``, made when first asked for, and again after its tensors were changed in place."""
-    state = _state(mesh.vertices, mesh.faces)
+    """The caster of ``mesh``, made when first asked for, and again when its tensors hold other numbers.
+
+    The numbers are compared with a copy: torch's count of changes does not see those through ``tensor.data``.
+    """
     kept = _CASTERS.get(mesh)
-    if kept is None or not state or kept[0] != state:
+    if kept is None or not all(map(_same, kept[0], (mesh.vertices, mesh.faces))):
         mesh.check()
-        kept = (state, RayCaster(mesh.vertices, mesh.faces))
+        copy = tuple(t.detach().clone() for t in (mesh.vertices, mesh.faces))
+        kept = (copy, RayCaster(mesh.vertices, mesh.faces))
         _CASTERS[mesh] = kept
     return kept[1]
 
 
-def _state(*tensors: Tensor) -> tuple[int, ...]:
-    """Changes when a tensor is changed in place. Empty where torch keeps no count (inference mode): then nothing is reused."""
-    return () if any(t.is_inference() for t in tensors) else tuple(t._version for t in tensors)
+def _same(a: Tensor, b: Tensor) -> bool:
+    return a.dtype == b.dtype and a.device == b.device and torch.equal(a, b)

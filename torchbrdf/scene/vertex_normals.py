@@ -9,7 +9,7 @@ from ..vector import Vec, dot, stack
 
 def gather(table: Tensor, index: Tensor) -> tuple[Tensor, ...]:
     """Rows ``table [N, k]`` at ``index [...]`` as k tensors ``[...]``, each one run of memory."""
-    return table.t().index_select(1, index.reshape(-1)).unflatten(1, index.shape).unbind(0)
+    return table.t().index_select(1, index.reshape(-1)).reshape(table.shape[1], *index.shape).unbind(0)
 
 
 def gather_vectors(table: Tensor, index: Tensor) -> Vec:

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..torch_compat import compile_error
 from .subject import Outcome, batched, leaves, probes
 
 ROUNDINGS = 2.0**14  # of float32: fused sums are taken in another order, which exponents of 200 magnify
@@ -25,10 +26,10 @@ def compiles(subject: Any, rng: torch.Generator, thorough: bool = False, backend
         def function(*ts: Tensor, k: int = k, call: Callable[..., Tensor] = call, rebuild: Callable[..., Any] = rebuild) -> Tensor:
             return call(rebuild(list(ts[:k])), *ts[k:])
 
-        torch._dynamo.reset()
+        torch.compiler.reset()
         try:
             found = _with_gradients(torch.compile(function, fullgraph=True, backend=backend), [*parameters, *xs])
-        except torch._dynamo.exc.TorchDynamoException as error:
+        except compile_error() as error:
             if "InvalidCxxCompiler" in f"{error}":
                 return Outcome.absent("compiles", "there is no C++ compiler")
             return Outcome("compiles", False, None, f"{type(error).__name__}: {str(error).splitlines()[0]}")

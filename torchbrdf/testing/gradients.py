@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .subject import Outcome, Probe, leaves, probes
+from .subject import Outcome, Probe, generator, leaves, probes
 
 POINTS = 4
 
@@ -18,7 +18,8 @@ def gradients(subject: Any, rng: torch.Generator, thorough: bool = False) -> Out
         names, inputs, call = _function(probe, subject)
         for i, name in enumerate(names):
             count += inputs[i].numel()
-            wrong += [f"{probe.name} by {name}"] * (not _passes(torch.autograd.gradcheck, call, inputs, only=i))
+            if not _passes(torch.autograd.gradcheck, call, inputs, only=i):
+                wrong.append(f"{probe.name} by {name}{_where(probe, subject, torch.autograd.gradcheck, i)}")
     return Outcome("gradients", not wrong, float(count), f"wrong: {', '.join(wrong)}" if wrong else "derivatives checked")
 
 
@@ -28,8 +29,26 @@ def second_gradients(subject: Any, rng: torch.Generator, thorough: bool = False)
     for probe in probes(subject, rng, POINTS):
         _, inputs, call = _function(probe, subject)
         count += sum(x.numel() for x in inputs)
-        wrong += [probe.name] * (not _passes(torch.autograd.gradgradcheck, call, inputs, fast_mode=not thorough))
+        if not _passes(_gradgradcheck, call, inputs, fast_mode=not thorough):
+            wrong.append(f"{probe.name}{_where(probe, subject, _gradgradcheck, None, fast_mode=not thorough)}")
     return Outcome("second_gradients", not wrong, float(count), f"wrong: {', '.join(wrong)}" if wrong else "inputs checked")
+
+
+def _gradgradcheck(call: Callable[..., Tensor], inputs: list[Tensor], **how: Any) -> bool:
+    """torch's, whose own cotangents are drawn anew at each run and may cancel; these are positive, and always the same."""
+    out = call(*inputs)
+    cotangents = (0.5 + torch.rand(out.shape, generator=generator(0), dtype=out.dtype)).requires_grad_()
+    return torch.autograd.gradgradcheck(call, inputs, cotangents, **how)
+
+
+def _where(probe: Probe, subject: Any, test: Callable[..., bool], only: int | None, **how: Any) -> str:
+    """The first of a probe's points at which a check fails, in words."""
+    for k in range(len(next(iter(probe.inputs.values())))):
+        one = probe._replace(inputs={name: x[k : k + 1] for name, x in probe.inputs.items()})
+        _, inputs, call = _function(one, subject)
+        if not _passes(test, call, inputs, only, **how):
+            return f" at {one.at(0)}"
+    return ""
 
 
 def _function(probe: Probe, subject: Any) -> tuple[list[str], list[Tensor], Callable[..., Tensor]]:

@@ -81,17 +81,21 @@ def _sum(terms: tuple[Bsdf, ...]) -> Bsdf:
 
 
 def mixtures(rng: torch.Generator) -> Iterator[tuple[str, tuple[Bsdf, ...]]]:
-    """Typical contents of a model made of models: one lobe, two, one of them a delta, and a nested mixture."""
+    """Typical contents of a model made of models: one lobe, two, one of them a delta, and a nested mixture.
+
+    The colours of two lobes beside one another are halved: each alone may reflect nearly all, and no mixture may reflect more.
+    """
     from ..bsdf.blinn_phong import BlinnPhong
     from ..bsdf.lambert import Lambert
     from ..bsdf.mirror import Mirror
     from ..bsdf.phong import Phong
 
-    def of(cls: type[Bsdf], **static: Any) -> Any:
-        return cls(**{name: draw(spec, rng) for name, spec in cls._params.items()}, **static)
+    def of(cls: type[Bsdf], share: float = 1.0, **static: Any) -> Any:
+        drawn = {name: draw(spec, rng) * (share if spec.is_colour else 1.0) for name, spec in cls._params.items()}
+        return cls(**drawn, **static)
 
     schlick = next(v for label, v in _fillings(Fresnel, rng) if label == "Schlick")
     yield "Phong", (of(Phong, fresnel=schlick),)
-    yield "Lambert + Phong", (of(Lambert), of(Phong, fresnel=schlick))
-    yield "Lambert + Mirror", (of(Lambert), of(Mirror, fresnel=schlick))
-    yield "BlinnPhong + 0.5 (Lambert + Mirror)", (of(BlinnPhong), 0.5 * (of(Lambert) + of(Mirror)))
+    yield "Lambert + Phong", (of(Lambert, 0.5), of(Phong, 0.5, fresnel=schlick))
+    yield "Lambert + Mirror", (of(Lambert, 0.5), of(Mirror, 0.5, fresnel=schlick))
+    yield "BlinnPhong + 0.5 (Lambert + Mirror)", (of(BlinnPhong, 0.5), 0.5 * (of(Lambert, 0.5) + of(Mirror, 0.5)))

@@ -1,80 +1,62 @@
-"""The sphere in bins that follow a lobe: rings about its peak at the quantiles of pilot samples, cut into sectors."""
+"""Bins for a chi-square test: the cells of the very integral of the density, neighbours together until a bin holds its share."""
 
-import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from ..bsdf.base import Bsdf
-from ..bsdf.sampler import mixture_density
-from ..quadrature import gauss_legendre
-from ..vector import Frame, normalize
-from .subject import uniform
+from .cubature import Cells
+from .sphere import from_square, integral, pilots, sampling_density, to_square
+from .words import angles
 
-RINGS, SECTORS = 16, 8
-PILOTS = 4096
-RADIAL, ANGULAR = 32, 16  # nodes within a bin
+BINS = 128
+DARK = 1e-7  # a cell of less probability than this belongs to the dark
 
 
 class Partition(NamedTuple):
-    """Bins for one ``wo [1, 3]``; ``edges [RINGS + 1]`` are of 1 - cosine to the peak, which keeps its digits near 0."""
+    """The bins of each of ``wo [V, 3]``: ``BINS`` of about equal probability, and behind them one of all that is dark."""
 
-    frame: Frame
-    edges: Tensor
+    wo: Tensor
+    cells: Cells
+    bin: Tensor  # [M] of each leaf
 
     @staticmethod
     def of(bsdf: Bsdf, wo: Tensor, rng: torch.Generator) -> "Partition":
-        """Adapted to where the sampler of ``bsdf`` goes."""
-        wi = spread_samples(bsdf, wo, uniform(PILOTS, rng))
-        peak = normalize(wi[sampling_density(bsdf, wi, wo).argmax()])
-        rings = torch.quantile(complement(wi, peak), torch.linspace(0, 1, RINGS + 1, dtype=wi.dtype))
-        edges = torch.cat([torch.zeros(1, dtype=wi.dtype), rings[1:-1], torch.full((1,), 2.0, dtype=wi.dtype)])
-        return Partition(Frame.from_normal(peak), edges)
+        """Adapted to the density of ``bsdf``, and to where its sampler goes."""
+        cells = integral(lambda wi, v: sampling_density(bsdf, wi, v), wo, *pilots(bsdf, wo, rng))
+        return Partition(wo, cells, _bins(cells))
 
-    def counts(self, wi: Tensor) -> Tensor:
-        """How many of ``wi [N, 3]`` fall into each bin, ``[RINGS, SECTORS]``."""
-        local = self.frame.to_local(wi)
-        ring = torch.bucketize(complement(wi, self.frame.normal), self.edges[1:-1].contiguous())
-        turn = torch.atan2(local[:, 1], local[:, 0]) / (2.0 * math.pi) % 1.0
-        sector = (turn * SECTORS).long().clamp_max(SECTORS - 1)
-        return torch.bincount(ring * SECTORS + sector, minlength=RINGS * SECTORS).reshape(RINGS, SECTORS)
+    @property
+    def integrals(self) -> Tensor:
+        """The integral of the density over each bin, ``[V, BINS + 1]``."""
+        return self.sums(self.cells.value[:, 0])
 
-    def integrals(self, bsdf: Bsdf, wo: Tensor) -> Tensor:
-        """The integral of the pdf over each bin, ``[RINGS, SECTORS]``, by Gauss-Legendre in every bin."""
-        (t, wt), (p, wp) = gauss_legendre(RADIAL), gauss_legendre(ANGULAR)
-        low, high = self.edges[:-1, None], self.edges[1:, None]
-        # Logarithmic away from the peak: an outer ring may span many widths of the lobe.
-        ratio = torch.log(high / torch.where(low > 0, low, high))
-        x = torch.where(low > 0, low * torch.exp(ratio * t), high * t)
-        dx = torch.where(low > 0, x * ratio, high) * wt
-        phi = (torch.arange(SECTORS)[:, None] + p) * (2.0 * math.pi / SECTORS)
-        wi = self.frame.to_world(_around(x.reshape(RINGS, 1, RADIAL, 1), phi.reshape(1, SECTORS, 1, ANGULAR)))
-        pdf = sampling_density(bsdf, wi.reshape(-1, 3), wo).reshape(RINGS, SECTORS, RADIAL, ANGULAR)
-        return torch.einsum("rspa,rp,a->rs", pdf, dx, wp * (2.0 * math.pi / SECTORS))
+    def counts(self, wi: Tensor, of: Tensor) -> Tensor:
+        """How many of ``wi [N, 3]``, samples for ``wo[of]``, fall into each cell, ``[M]``."""
+        return torch.bincount(self.cells.locate(to_square(wi, self.wo, of), of), minlength=len(self.bin)).to(wi.dtype)
+
+    def sums(self, cells: Tensor) -> Tensor:
+        """Of numbers ``[M]`` of cells, ``[V, BINS + 1]``."""
+        leaf, index = self.cells.leaf, self.cells.of * (BINS + 1) + self.bin
+        zero = cells.new_zeros(len(self.wo) * (BINS + 1))
+        return zero.index_add_(0, index[leaf], cells[leaf]).reshape(-1, BINS + 1)
+
+    def place(self, view: int, bin: int, surplus: Tensor) -> str:
+        """The middle of that cell of a bin where ``surplus [M]`` is largest in size, in words."""
+        mine = (self.cells.leaf & (self.cells.of == view) & (self.bin == bin)).nonzero().squeeze(1)
+        k = mine[surplus[mine].abs().argmax()]
+        middle = self.cells.low[k] + 0.5 * self.cells.size[k]
+        return angles(from_square(middle.reshape(1, 1, 2), self.wo, torch.tensor([view]))[0].flatten())
 
 
-def sampling_density(bsdf: Bsdf, wi: Tensor, wo: Tensor) -> Tensor:
-    """The density ``[N]`` of all samples, outside the model's domain, too (where ``pdf`` is 0), at ``wi [N, 3]`` for ``wo [1, 3]``."""
-    return mixture_density(bsdf, bsdf.geometry(wi, wo)).reshape(len(wi))
-
-
-def complement(wi: Tensor, peak: Tensor) -> Tensor:
-    """1 - wi.peak as half the squared distance."""
-    return 0.5 * ((wi - peak) ** 2).sum(-1)
-
-
-def _around(x: Tensor, phi: Tensor) -> Tensor:
-    sin = torch.sqrt(x * (2.0 - x))
-    return torch.stack(torch.broadcast_tensors(sin * torch.cos(phi), sin * torch.sin(phi), 1.0 - x), -1)
-
-
-def spread_samples(bsdf: Bsdf, wo: Tensor, u: Tensor) -> Tensor:
-    """The samples ``wi [M, 3]`` that are of no delta lobe."""
-    s = bsdf.sample(wo, u)
-    return s.wi[~is_delta(bsdf, s.lobe)]
-
-
-def is_delta(bsdf: Bsdf, lobe: Tensor) -> Tensor:
-    """Which samples ``[N]`` are of a delta lobe, by their lobe ``[N, 1]``."""
-    return torch.tensor([kind.is_delta for kind in bsdf.lobes])[lobe.squeeze(-1)]
+def _bins(cells: Cells) -> Tensor:
+    """By the probability of all leaves that come before in a walk through the tree."""
+    leaf, mass = cells.leaf, cells.value[:, 0].clamp_min(0.0)
+    bins = torch.full_like(cells.of, BINS)
+    for view in range(int(cells.of.max()) + 1):
+        mine = (leaf & (cells.of == view) & (mass >= DARK)).nonzero().squeeze(1)
+        mine = mine[cells.rank[mine].argsort()]
+        before = mass[mine].cumsum(0) - 0.5 * mass[mine]
+        bins[mine] = (before / mass[mine].sum() * BINS).long().clamp(0, BINS - 1)
+    return bins

@@ -6,11 +6,12 @@ from typing import Any
 import torch
 
 from ..bsdf.base import Bsdf
-from .partition import Partition, spread_samples
-from .subject import at_angles, generator, materials, spread, uniform
+from .partition import BINS, Partition
+from .sampling import counted
+from .subject import at_angles, generator, materials, spread
 
 ANGLES = [*range(0, 85, 5), *range(85, 90)]
-COUNT = 20_000
+COUNT, TOGETHER = 20_000, 4  # samples; bins in a bar
 
 
 def save(subject: Any, path: str | Path) -> None:
@@ -41,17 +42,16 @@ def _albedo(axes: Any, bsdf: Bsdf) -> None:
 
 
 def _histogram(axes: Any, bsdf: Bsdf) -> None:
-    axes.set(xlabel="rings about the peak, wo at 45 degrees", ylabel=f"of {COUNT} samples")
+    axes.set(xlabel="bins of the sphere, for wo at 45°", ylabel=f"of {COUNT} samples")
     if spread(bsdf) is None:
         axes.text(0.5, 0.5, "delta lobes only", ha="center", transform=axes.transAxes)
         return
-    wo, rng = at_angles(45.0), generator(0)
-    partition = Partition.of(bsdf, wo, rng)
-    counts = partition.counts(spread_samples(bsdf, wo, uniform(COUNT, rng))).sum(1)
-    expected = COUNT * partition.integrals(bsdf, wo).sum(1)
-    rings = range(len(counts))
-    axes.bar(rings, counts.tolist(), color="0.8", label="samples")
-    axes.errorbar(rings, expected.tolist(), torch.sqrt(expected).tolist(), fmt="k.", label="pdf, one standard deviation")
+    rng = generator(0)
+    found = counted(bsdf, Partition.of(bsdf, at_angles(45.0), rng), rng, COUNT)
+    observed, expected = (x[0, :BINS].reshape(-1, TOGETHER).sum(1) for x in (found.observed, found.expected))
+    bars = range(len(observed))
+    axes.bar(bars, observed.tolist(), color="0.8", label="samples")
+    axes.errorbar(bars, expected.tolist(), torch.sqrt(expected.clamp_min(0.0)).tolist(), fmt="k.", label="pdf, one standard deviation")
     axes.legend()
 
 

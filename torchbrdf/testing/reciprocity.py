@@ -5,6 +5,7 @@ from typing import Any
 import torch
 
 from .subject import Outcome, smooth_points, spread
+from .words import pair
 
 ROUNDINGS = 2.0**20  # times eps: exponents of 1e4 magnify the rounding of a cosine ten-thousandfold
 
@@ -17,6 +18,7 @@ def reciprocity(subject: Any, rng: torch.Generator, thorough: bool = False) -> O
         return Outcome.absent("reciprocity", "the model claims none")
     w = smooth_points(subject, rng, 4096 if thorough else 256)
     there, back = subject.evaluate(w["wi"], w["wo"], w["n"]), subject.evaluate(w["wo"], w["wi"], w["n"])
-    worst = float((there - back).abs().max())
+    worst, k = (there - back).abs().nan_to_num(nan=torch.inf).amax(-1).max(0)
     allowed = ROUNDINGS * torch.finfo(there.dtype).eps * float(there.abs().max())
-    return Outcome("reciprocity", worst <= allowed, worst, "largest |f(wi, wo) - f(wo, wi)|, 1/sr")
+    where = pair(w["wi"][k], w["wo"][k], w["n"][k])
+    return Outcome("reciprocity", float(worst) <= allowed, float(worst), f"largest |f(wi, wo) - f(wo, wi)|, 1/sr; {where}")

@@ -8,14 +8,16 @@ from typing import Any
 from ..bsdf.base import Bsdf
 from ..optics.fresnel import Fresnel
 from ..value import validate
+from .borders import dark_outside_domain, delta_lobes
 from .compiled import compiles
 from .energy import albedo, energy_bound, lambert
 from .gradients import gradients, second_gradients
 from .hard_cases import hard_cases
 from .layout import broadcasting, dtypes, planar_memory, vmap
 from .reciprocity import reciprocity
-from .sampling import dark_outside_domain, delta_lobes, mean_weight, pdf_integrates_to_one, samples_follow_pdf, weights_match
+from .sampling import pdf_integrates_to_one, samples_follow_pdf
 from .subject import Outcome, generator, materials
+from .weights import mean_weight, weights_match
 
 Property = Callable[..., Outcome]
 

@@ -1,42 +1,50 @@
-"""Samples against their density, their weights against ``evaluate``, and delta lobes, which have nothing else to show."""
+"""The density of samples: its integral, and a chi-square test of samples against it."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from ..bsdf.base import Bsdf
-from ..bsdf.lobe import Lobe
-from ..vector import Frame, reflect
-from .partition import Partition, is_delta, spread_samples
-from .subject import DELTA, Outcome, above, at_angles, directions, spread, transmits, uniform, viewers
+from .partition import BINS, Partition
+from .sphere import TOLERANCE, integral, pilots, sampling_density, spread_samples
+from .subject import DELTA, Outcome, spread, uniform, views
+from .words import degrees
 
 ANGLES = (0.0, 45.0, 80.0)
+GRAZING = (89.0, 89.9)
 SIGNIFICANCE = 1e-3  # chance that a right sampler fails, over all directions; the planted faults reach 1e-18 and less
 LEAST = 5.0  # expected counts below this are pooled; chi-square is not to be trusted for fewer
-STANDARD_ERRORS = 5.0
 
 
 def pdf_integrates_to_one(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
-    """Over the whole sphere; short of 1 by the probability with which delta lobes are chosen."""
+    """Over the whole sphere; short of 1 by the probability of delta lobes, and of samples that are lost."""
+    name = "pdf_integrates_to_one"
     if spread(subject) is None:
-        return Outcome.absent("pdf_integrates_to_one", "no lobe that has a density")
-    worst = 0.0
-    for wo in at_angles(*ANGLES).split(1):
-        total = float(Partition.of(subject, wo, rng).integrals(subject, wo).sum())
-        worst = max(worst, abs(total + delta_probability(subject, wo) - 1.0))
-    # kinks (the horizon of a cosine, the edge of a lobe) cross the bins and cost the quadrature some 1e-4
-    return Outcome("pdf_integrates_to_one", worst <= 1e-3, worst, "largest |integral - 1|")
+        return Outcome.absent(name, "no lobe that has a density")
+    wo = views(subject, (*ANGLES, *GRAZING) if thorough else ANGLES)
+    cells = integral(lambda wi, v: sampling_density(subject, wi, v), wo, *pilots(subject, wo, rng))
+    error = (cells.total(cells.value).squeeze(-1) + absent_share(subject, wo) - 1.0).abs()
+    worst = int(torch.nan_to_num(error, nan=torch.inf).argmax())
+    figure, doubt = float(error[worst]), float(cells.error[worst])
+    detail = f"largest |integral - 1|, for wo at {degrees(wo[worst])}"
+    return Outcome(name, figure <= 2.0 * TOLERANCE, figure, detail + f", known to {doubt:.1g}" * (doubt > 2.0 * TOLERANCE))
 
 
-def delta_probability(bsdf: Bsdf, wo: Tensor) -> float:
-    """The share of samples that a delta lobe takes, over evenly spread u."""
-    if bsdf.select(DELTA) is None:
-        return 0.0
-    i = torch.arange(2**15, dtype=wo.dtype)
-    golden = (i * 0.5 * (5**0.5 - 1.0)) % 1.0  # a Kronecker lattice
-    u = torch.stack([golden, (i * (2.0**0.5 - 1.0)) % 1.0, (i + 0.5) / len(i)], -1)
-    return 1.0 - len(spread_samples(bsdf, wo, u)) / len(i)
+def absent_share(bsdf: Bsdf, wo: Tensor) -> Tensor:
+    """The share ``[V]`` of samples that have no density, for each of ``wo [V, 3]``, over evenly spread u."""
+    i = torch.arange(2**10, dtype=wo.dtype)
+    lost = bool((bsdf.sample(wo.unsqueeze(1), _lattice(i)).wi == 0).all(-1).any())
+    if bsdf.select(DELTA) is None and not lost:
+        return torch.zeros(len(wo), dtype=wo.dtype)
+    u = _lattice(torch.arange(2**17 if lost else 2**13, dtype=wo.dtype))
+    _, of = spread_samples(bsdf, wo, u)
+    return 1.0 - torch.bincount(of, minlength=len(wo)) / len(u)
+
+
+def _lattice(i: Tensor) -> Tensor:
+    """Kronecker's, with the third number in even steps: a choice among lobes is measured to 1 / len(i)."""
+    return torch.stack([(i * 0.5 * (5**0.5 - 1.0)) % 1.0, (i * (2.0**0.5 - 1.0)) % 1.0, (i + 0.5) / len(i)], -1)
 
 
 def samples_follow_pdf(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
@@ -44,112 +52,93 @@ def samples_follow_pdf(subject: Any, rng: torch.Generator, thorough: bool = Fals
     name = "samples_follow_pdf"
     if spread(subject) is None:
         return Outcome.absent(name, "no lobe that has a density")
-    wos = at_angles(*range(0, 90, 10)) if thorough else at_angles(*ANGLES)
-    p = min(chi2(subject, wo, rng, 200_000 if thorough else 20_000) for wo in wos.split(1))
-    threshold = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / len(wos))
-    return Outcome(name, p > threshold, p, f"smallest p of chi-square, rejected below {threshold:.2g}")
+    wo = views(subject, (*range(0, 90, 10), *GRAZING) if thorough else ANGLES)
+    partition, count = Partition.of(subject, wo, rng), 200_000 if thorough else 20_000
+    found = counted(subject, partition, rng, count)
+    least = of_several(SIGNIFICANCE, len(wo))
+    p = [agreement(o, e) for o, e in zip(found.observed, found.expected, strict=True)]
+    worst = min(range(len(wo)), key=lambda k: p[k])
+    detail = f"smallest p of chi-square, rejected below {least:.2g}; for wo at {degrees(wo[worst])}"
+    return Outcome(name, p[worst] > least, p[worst], detail if p[worst] > least else f"{detail}: {found.worst(worst)}")
 
 
-def chi2(bsdf: Bsdf, wo: Tensor, rng: torch.Generator, count: int) -> float:
-    """p-value of ``count`` samples for ``wo [1, 3]`` against the integral of the pdf over adaptive bins."""
-    partition = Partition.of(bsdf, wo, rng)
-    wi = spread_samples(bsdf, wo, uniform(count, rng))
-    expected = partition.integrals(bsdf, wo).flatten() * count
-    observed = partition.counts(wi).flatten().to(expected.dtype)
-    rest = torch.tensor([count - len(wi), delta_probability(bsdf, wo) * count], dtype=expected.dtype)
-    return p_value(torch.cat([observed, rest[:1]]), torch.cat([expected, rest[1:]]))
+def of_several(significance: float, tests: int) -> float:
+    """The significance of each of some independent tests that together have the one given (Sidak 1967)."""
+    return 1.0 - (1.0 - significance) ** (1.0 / tests)
+
+
+class Counted(NamedTuple):
+    """Samples in the bins of a partition, in its dark, and without a density: ``[V, BINS + 2]``; and in its cells, ``[M]``."""
+
+    partition: Partition
+    observed: Tensor
+    expected: Tensor
+    surplus: Tensor  # of each cell, observed less expected
+
+    def worst(self, view: int) -> str:
+        """The bin of one wo that is furthest from what is expected, in words."""
+        observed, expected = self.observed[view], self.expected[view]
+        k = int(((observed - expected).square() / expected.clamp_min(1.0)).argmax())
+        where = f"about wi at {self.partition.place(view, k, self.surplus)}" if k <= BINS else "without a density"
+        return f"{observed[k]:.0f} of {observed.sum():.0f} samples {where}, {expected[k]:.4g} expected"
+
+
+def counted(bsdf: Bsdf, partition: Partition, rng: torch.Generator, count: int) -> Counted:
+    """``count`` samples for each wo of a partition. Raises ``ValueError`` for samples that are no directions."""
+    wi, of = zip(*(_samples(bsdf, partition.wo, k, rng, count) for k in range(len(partition.wo))), strict=True)
+    cells = partition.counts(torch.cat(wi), torch.cat(of))
+    absent = torch.tensor([count - len(w) for w in wi], dtype=cells.dtype)
+    observed = torch.cat([partition.sums(cells), absent.unsqueeze(1)], 1)
+    expected = torch.cat([partition.integrals, absent_share(bsdf, partition.wo).unsqueeze(1)], 1) * count
+    return Counted(partition, observed, expected, cells - count * partition.cells.value[:, 0])
+
+
+def _samples(bsdf: Bsdf, wo: Tensor, k: int, rng: torch.Generator, count: int) -> tuple[Tensor, Tensor]:
+    wi, _ = spread_samples(bsdf, wo[k : k + 1], uniform(count, rng))
+    bad = int((~((wi.norm(dim=-1) - 1.0).abs() < 1e-6)).sum())
+    if bad:
+        raise ValueError(f"{bad} of {count} samples are no unit vectors, for wo at {degrees(wo[k])}")
+    return wi, torch.full((len(wi),), k)
+
+
+def agreement(observed: Tensor, expected: Tensor) -> float:
+    """p-value of one row: of the bins, and of what lies in the dark, where the quadrature may have overlooked a little."""
+    bins = torch.arange(len(observed)) != BINS
+    count = float(observed.sum())
+    dark = too_many(float(observed[BINS]), float(expected[BINS]) + TOLERANCE * count)
+    return together(p_value(observed[bins], expected[bins]), dark)
 
 
 def p_value(observed: Tensor, expected: Tensor) -> float:
-    """Pearson's chi-square with small bins pooled; 0 if samples lie where none may be."""
-    order = expected.argsort()
-    small = int((expected[order].cumsum(0) < LEAST).sum()) + 1
-    observed, expected = (torch.cat([x[order[:small]].sum().reshape(1), x[order[small:]]]) for x in (observed, expected))
-    if float(expected.min()) < LEAST:
-        return 0.0 if float(observed[0]) > 4.0 * LEAST else 1.0
+    """Pearson's chi-square, all bins that expect less than 5 pooled; if even together they do, Poisson's test of too many.
+
+    Raises ``ValueError`` for what is a single bin in the end: it tells nothing.
+    """
+    small = expected < LEAST
+    few = float(observed[small].sum()), float(expected[small].sum())
+    observed, expected = (torch.cat([x[~small], x.new_tensor(f).expand(1)]) for x, f in zip((observed, expected), few, strict=True))
+    if few[1] >= LEAST:
+        return chi_square(observed, expected)
+    observed, expected = observed[:-1], expected[:-1]
+    if few == (0.0, 0.0):  # empty bins say nothing
+        if len(expected) < 2:
+            raise ValueError("p_value: one bin tells nothing; at least two must expect something")
+        return chi_square(observed, expected)
+    return together(too_many(*few), *[chi_square(observed, expected)] * (len(expected) > 1))
+
+
+def chi_square(observed: Tensor, expected: Tensor) -> float:
+    """Pearson's test; one degree of freedom less than there are bins."""
     statistic = ((observed - expected) ** 2 / expected).sum()
     freedom = torch.tensor(len(expected) - 1.0, dtype=statistic.dtype)
     return float(torch.special.gammaincc(0.5 * freedom, 0.5 * statistic))
 
 
-def weights_match(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
-    """``weight * pdf`` must be ``evaluate`` times the cosine, and the sample's pdf that of ``pdf``, in world space too."""
-    name = "weights_match"
-    if spread(subject) is None:
-        return Outcome.absent(name, "no lobe that has a density")
-    frame = Frame.from_normal(directions(1024, rng))
-    wo = frame.to_world(viewers(subject, 1024, rng))
-    s = subject.sample(wo, uniform(1024, rng), frame.normal)
-    f, pdf = subject.evaluate(s.wi, wo, frame.normal), subject.pdf(s.wi, wo, frame.normal)
-    cos = frame.to_local(s.wi)[:, 2:].abs()
-    kept = ~is_delta(subject, s.lobe)
-    worst = max(_relative((s.weight * s.pdf)[kept], (f * cos)[kept]), _relative(s.pdf[kept], pdf[kept]))
-    # the two routes differ by rounding alone, which an exponent of 1e4 magnifies ten-thousandfold
-    return Outcome(name, worst <= 2.0**20 * torch.finfo(f.dtype).eps, worst, "weight pdf against f cos, over the largest")
+def too_many(observed: float, expected: float) -> float:
+    """Poisson's probability of ``observed`` or more."""
+    return 1.0 if observed == 0 else float(torch.special.gammainc(*torch.tensor([observed, expected], dtype=torch.float64)))
 
 
-def _relative(a: Tensor, b: Tensor) -> float:
-    return float((a - b).abs().max() / b.abs().max())
-
-
-def dark_outside_domain(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
-    """Outside ``domain`` everything is 0: ``evaluate``, ``pdf``, the weights of samples. Nothing crosses without a transmission lobe."""
-    name = "dark_outside_domain"
-    if not isinstance(subject, Bsdf):
-        return Outcome.absent(name, "not a BSDF")
-    mirrored = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
-    up = torch.cat([above(1024, rng), at_angles(*[89.0] * 1024)])
-    wo = torch.cat([up, up * mirrored])
-    s = subject.sample(wo, uniform(4096, rng))
-    wi = torch.cat([s.wi, directions(4096, rng), wo * mirrored])
-    wo = wo.repeat(3, 1)
-    dark = ~subject.domain(subject.geometry(wi, wo)).reshape(-1)
-    if not transmits(subject):
-        dark = dark | (wi[:, 2] * wo[:, 2] <= 0)
-    if type(subject).domain is Bsdf.domain:
-        dark = dark | (wi[:, 2] <= 0) | (wo[:, 2] <= 0)
-    leaked = (s.weight.abs().sum(-1) + s.pdf.abs().sum(-1))[dark[:4096] & ~is_delta(subject, s.lobe)]
-    values = subject.evaluate(wi, wo).abs().sum(-1)[dark] + subject.pdf(wi, wo).abs().sum(-1)[dark]
-    total = float(leaked.sum() + values.sum())
-    return Outcome(name, total == 0.0, total, "sum of what should be 0")
-
-
-def mean_weight(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
-    """The mean of ``sample(...).weight``, as power, must be the directional albedo, delta lobes included; of reciprocal models."""
-    name = "mean_weight"
-    if not isinstance(subject, Bsdf):
-        return Outcome.absent(name, "not a BSDF")
-    if not subject.reciprocal:
-        return Outcome.absent(name, "the model is not reciprocal: samples follow the light that arrives, the albedo that which leaves")
-    count, worst = 100_000 if thorough else 8192, 0.0
-    for wo in at_angles(*ANGLES).split(1):
-        s = subject.sample(wo, uniform(count, rng))
-        weight = s.weight * s.eta * s.eta  # of power: radiance grows by the square of the index across an interface
-        # 2e-3: twice the stated error of directional_albedo's quadrature, relative to the brightest channel
-        floor = 2e-3 * max(1.0, float(weight.mean(0).max())) / STANDARD_ERRORS
-        error = (weight.mean(0) - subject.directional_albedo(wo)).abs()
-        worst = max(worst, float((error / (weight.std(0) / count**0.5 + floor)).max()))
-    return Outcome(name, worst <= STANDARD_ERRORS, worst, "standard errors between mean weight and albedo")
-
-
-def delta_lobes(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outcome:
-    """``sample`` and ``deltas`` agree on direction and weight; a mirror lobe mirrors; a model of deltas alone evaluates to 0."""
-    if not isinstance(subject, Bsdf) or subject.select(DELTA) is None:
-        return Outcome.absent("delta_lobes", "no delta lobe")
-    n = directions(512, rng)
-    wo = Frame.from_normal(n).to_world(viewers(subject, 512, rng))
-    s, viewer = subject.sample(wo, uniform(512, rng), n), subject.viewer(wo, n)
-    worst = 0.0
-    for d in subject.deltas(viewer):
-        taken = ((s.lobe == d.lobe) & (s.pdf > 0)).squeeze(-1)
-        wi, weight = (x.expand(*wo.shape[:-1], x.shape[-1]) for x in (viewer.layout.join_vector(d.wi), viewer.layout.join(d.weight)))
-        worst = max(worst, _largest((s.wi - wi)[taken]), _largest((s.weight * s.pdf - weight)[taken]))
-        if subject.lobes[d.lobe] == Lobe.DELTA_REFLECTION:
-            worst = max(worst, _largest(wi - reflect(wo, n)))
-        if spread(subject) is None:
-            worst = max(worst, _largest(subject.evaluate(wi, wo, n)), _largest(subject.pdf(wi, wo, n)))
-    return Outcome("delta_lobes", worst <= 64 * torch.finfo(wo.dtype).eps, worst, "largest error of direction, weight, evaluate")
-
-
-def _largest(x: Tensor) -> float:
-    return float(x.abs().max()) if x.numel() else 0.0
+def together(*p: float) -> float:
+    """p-value of the smallest of independent ones."""
+    return 1.0 - (1.0 - min(p)) ** len(p)

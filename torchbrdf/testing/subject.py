@@ -5,14 +5,15 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils import _pytree as pytree
 
 from ..bsdf.base import Bsdf
 from ..bsdf.lobe import Lobe
 from ..geometry import Layout
+from ..interval import Interval
 from ..optics.fresnel import Fresnel
-from ..value import Value
+from ..value import Param, Value
 from ..vector import Frame, normalize
+from .words import degrees, pair
 
 DELTA, SPREAD = Lobe.DELTA, Lobe.SPREAD
 MARGIN = 0.05  # distance kept from kinks: a hundred times what half precision may move a cosine
@@ -38,6 +39,13 @@ class Probe(NamedTuple):
     name: str
     call: Callable[..., Tensor]
     inputs: dict[str, Tensor]
+
+    def at(self, k: int) -> str:
+        """One of the inputs, in words."""
+        x = {name: v[k] for name, v in self.inputs.items()}
+        if "wo" not in x:
+            return ", ".join(f"{name} = {v.item():.4g}" for name, v in x.items() if v.numel() == 1)
+        return pair(x["wi"], x["wo"], x["n"]) if "wi" in x else f"wo at {degrees(Frame.from_normal(x['n']).to_local(x['wo']))}"
 
 
 def generator(seed: int) -> torch.Generator:
@@ -75,6 +83,17 @@ def at_angles(*degrees: float) -> Tensor:
     return torch.stack([torch.sin(t) * torch.cos(phi), torch.sin(t) * torch.sin(phi), torch.cos(t)], -1)
 
 
+def views(bsdf: Any, above: tuple[float, ...], below: tuple[float, ...] = (45.0, 80.0)) -> Tensor:
+    """Local directions ``[V, 3]`` at these angles from the normal; and below the surface, for a model that is seen from there."""
+    up = at_angles(*above)
+    return torch.cat([up, mirrored(at_angles(*below))]) if sees_below(bsdf) else up
+
+
+def mirrored(w: Tensor) -> Tensor:
+    """Local directions on the other side of the surface."""
+    return w * torch.tensor([1.0, 1.0, -1.0], dtype=w.dtype)
+
+
 def uniform(count: int, rng: torch.Generator) -> Tensor:
     """Random numbers ``[count, 3]`` for a sampler."""
     return torch.rand(count, 3, generator=rng, dtype=torch.float64)
@@ -89,8 +108,8 @@ def viewers(bsdf: Any, count: int, rng: torch.Generator) -> Tensor:
 def sees_below(bsdf: Any) -> bool:
     """Whether the domain of a model has viewers below the surface."""
     wi = at_angles(*range(0, 90, 15))
-    both = torch.cat([wi, wi * torch.tensor([1.0, 1.0, -1.0], dtype=wi.dtype)])
-    below = at_angles(40.0) * torch.tensor([1.0, 1.0, -1.0], dtype=wi.dtype)
+    both = torch.cat([wi, mirrored(wi)])
+    below = mirrored(at_angles(40.0))
     return isinstance(bsdf, Bsdf) and bool(bsdf.domain(bsdf.geometry(both, below.expand_as(both))).any())
 
 
@@ -111,16 +130,26 @@ def smooth_points(bsdf: Bsdf, rng: torch.Generator, count: int) -> dict[str, Ten
     wo = viewers(bsdf, tries, rng)
     sampled = bsdf.sample(wo, uniform(tries, rng)).wi.detach()
     uniformly = above(tries, rng) if not (transmits(bsdf) or sees_below(bsdf)) else directions(tries, rng)
-    kept = []
+    kept, masks = [], torch.zeros(2, dtype=torch.int64)
     for wi, wanted in ((uniformly, count - count // 2), (sampled, count // 2)):
         w = {"wi": frame.to_world(wi), "wo": frame.to_world(wo), "n": frame.normal}
         g = bsdf.geometry(w["wi"], w["wo"], w["n"])
-        smooth = (bsdf.domain(g) & (bsdf.kink_distance(g) > MARGIN)).reshape(tries)
-        kept.append({name: v[smooth][:wanted] for name, v in w.items()})
+        inside, smooth = bsdf.domain(g).expand(tries), (bsdf.kink_distance(g) > MARGIN).expand(tries)
+        masks += torch.stack([inside.sum(), smooth.sum()])
+        kept.append({name: v[inside & smooth][:wanted] for name, v in w.items()})
     found = {name: torch.cat([k[name] for k in kept]) for name in kept[0]}
     if len(found["wi"]) == 0:
-        raise ValueError(f"{type(bsdf).__name__}: no geometry lies {MARGIN} away from its kinks; is kink_distance right?")
+        raise ValueError(_excluded(2 * tries, *masks.tolist()))
     return found
+
+
+def _excluded(tries: int, inside: int, smooth: int) -> str:
+    """Which mask left no geometry to look at."""
+    if not inside:
+        return f"domain excludes all of {tries} pairs of directions"
+    if not smooth:
+        return f"kink_distance is below {MARGIN} at all of {tries} pairs of directions"
+    return f"of {tries} pairs of directions {inside} are in domain and {smooth} are {MARGIN} from a kink by kink_distance, none is both"
 
 
 def probes(subject: Any, rng: torch.Generator, count: int) -> Iterator[Probe]:
@@ -128,6 +157,8 @@ def probes(subject: Any, rng: torch.Generator, count: int) -> Iterator[Probe]:
     if isinstance(subject, Fresnel):
         cos = MARGIN + (1.0 - 2.0 * MARGIN) * torch.rand(64 * count, generator=rng, dtype=torch.float64)
         smooth = subject.kink_distance(Layout.beside(cos), cos) > MARGIN
+        if not bool(smooth.any()):
+            raise ValueError(f"kink_distance is below {MARGIN} at all of {len(cos)} cosines")
         yield Probe("reflectance", lambda v, cos_i: v.reflectance(cos_i), {"cos_i": cos[smooth][:count].unsqueeze(-1)})
         return
     if spread(subject) is not None:
@@ -138,6 +169,22 @@ def probes(subject: Any, rng: torch.Generator, count: int) -> Iterator[Probe]:
         yield Probe("sample", _delta_weight, {"wo": w["wo"], "n": w["n"]})
 
 
+def calls(subject: Any, rng: torch.Generator, count: int) -> Iterator[Probe]:
+    """What else must not depend on how arguments are shaped: samples, their density, the albedo."""
+    if not isinstance(subject, Bsdf):
+        return
+    frame = Frame.from_normal(directions(count, rng))
+    w = {"wo": frame.to_world(viewers(subject, count, rng)), "n": frame.normal}
+    yield Probe("sample", _everything, w | {"u": uniform(count, rng)})
+    yield Probe("pdf", lambda v, wo, n, wi: v.pdf(wi, wo, n), w | {"wi": frame.to_world(viewers(subject, count, rng))})
+    yield Probe("directional_albedo", lambda v, wo, n: v.directional_albedo(wo, n, order=4), w)
+
+
+def _everything(bsdf: Bsdf, wo: Tensor, n: Tensor, u: Tensor) -> Tensor:
+    s = bsdf.sample(wo, u, n)
+    return torch.cat([s.wi, s.weight, s.pdf, s.lobe.to(s.pdf.dtype), s.eta], -1)
+
+
 def _delta_weight(bsdf: Bsdf, wo: Tensor, n: Tensor) -> Tensor:
     delta = bsdf.select(DELTA)
     assert delta is not None
@@ -146,16 +193,30 @@ def _delta_weight(bsdf: Bsdf, wo: Tensor, n: Tensor) -> Tensor:
 
 def leaves(value: Value) -> tuple[list[str], list[Tensor], Callable[[list[Tensor]], Any]]:
     """Names and tensors of all parameters, nested ones too, and the way back."""
-    found, spec = pytree.tree_flatten_with_path(value)
-    return [pytree.keystr(path).lstrip(".") for path, _ in found], [t for _, t in found], lambda ts: pytree.tree_unflatten(ts, spec)
+    found = list(value.named_tensors())
+
+    def rebuild(tensors: list[Tensor]) -> Any:
+        left = iter(tensors)
+        return value.map(lambda _: next(left))
+
+    return [path for path, _ in found], [t for _, t in found], rebuild
 
 
 def batched(value: Any, count: int, rng: torch.Generator) -> Any:
     """``count`` neighbours of a single material, as one value with a batch axis."""
 
-    def vary(t: Tensor) -> Tensor:
-        return (
-            t * (1.0 - 0.1 * torch.rand(count, t.shape[-1], generator=rng, dtype=t.dtype)) if t.is_floating_point() else t.expand(count, -1)
-        )
+    def vary(held: Any) -> Any:
+        return tuple(map(vary, held)) if isinstance(held, tuple) else batched(held, count, rng) if isinstance(held, Value) else held
 
-    return value.map(vary)
+    changed = {name: _neighbours(t, spec, count, rng) for name, t, spec in value.own_tensors()}
+    return value.replace(**{name: vary(getattr(value, name)) for name in value._fields if name not in value._params}, **changed)
+
+
+def _neighbours(t: Tensor, spec: Param, count: int, rng: torch.Generator) -> Tensor:
+    """A parameter ``[*event]`` as legal ones ``[count, *event]``: numbers up to a tenth smaller, others moved as in learning."""
+    if not t.is_floating_point():
+        return t.expand(count, *t.shape)
+    noise = torch.rand(count, *t.shape, generator=rng, dtype=t.dtype)
+    if not isinstance(spec.constraint, Interval):
+        return spec.constraint.from_unconstrained(spec.constraint.to_unconstrained(t) + 0.1 * noise)
+    return torch.where(spec.constraint.contains(t * (1.0 - 0.1 * noise)), t * (1.0 - 0.1 * noise), t)

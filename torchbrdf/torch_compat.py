@@ -1,0 +1,93 @@
+"""Every private name of torch that this package uses, each with what is done where a version of torch does not have it.
+
+torch may rename what starts with an underscore in any release. So each such name is asked for here alone, when it is first needed,
+and what is done without it is right, if slower or less informative; ``tests/test_torch_compat.py`` takes each away in turn.
+"""
+
+import functools
+import os
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+
+ABSENT = (ImportError, AttributeError, TypeError)  # a name that is gone, or takes other arguments than it did
+
+
+def register_node(
+    cls: type[Any],
+    flatten: Callable[[Any], tuple[list[Any], Any]],
+    unflatten: Callable[[Any, Any], Any],
+    names: Callable[[Any], Sequence[str]],
+    saved_as: str,
+) -> None:
+    """Let ``torch.func``, ``torch.compile`` and ``torch.export`` see through ``cls``; ``names`` are those of its children,
+    ``saved_as`` what exported programs call it.
+
+    Where torch takes no names: without them. Without the private module: not at all; such values are opaque to transforms, and
+    everything else works.
+    """
+    try:
+        from torch.utils import _pytree as pytree
+
+        register, key = pytree.register_pytree_node, pytree.GetAttrKey
+    except ABSENT:
+        return
+
+    def flatten_with_keys(v: Any) -> tuple[list[tuple[Any, Any]], Any]:
+        children, context = flatten(v)
+        return [(key(name), child) for name, child in zip(names(v), children, strict=True)], context
+
+    try:
+        register(cls, flatten, unflatten, flatten_with_keys_fn=flatten_with_keys, serialized_type_name=saved_as)
+    except TypeError:
+        register(cls, flatten, unflatten)
+
+
+@functools.cache  # torch compiles again for a backend that is another object
+def recomputing_backend() -> Any:
+    """The inductor backend of ``torch.compile`` with a budget of 0 for what the forward pass saves; backward computes it again.
+
+    Without the private names: inductor as it is, whose results are the same.
+    """
+    try:
+        from torch._functorch import config
+        from torch._inductor.compile_fx import compile_fx
+
+        with config.patch(activation_memory_budget=0.0):
+            pass
+    except (*ABSENT, KeyError):
+        return "inductor"
+
+    def recomputing(graph: torch.fx.GraphModule, inputs: Any) -> Any:
+        with config.patch(activation_memory_budget=0.0):
+            return compile_fx(graph, inputs)
+
+    return recomputing
+
+
+def has_cpp_compiler() -> bool:
+    """Whether there is a C++ compiler, by inductor's own search: CXX if it is set, else the usual one.
+
+    Without the private name: whether that program is on the path.
+    """
+    try:
+        from torch._inductor.cpp_builder import get_cpp_compiler
+    except ABSENT:
+        usual = {"win32": "cl", "darwin": "clang++"}.get(sys.platform, "g++")
+        return shutil.which(os.environ.get("CXX", usual)) is not None
+    try:
+        return bool(get_cpp_compiler())
+    except RuntimeError:  # InvalidCxxCompiler among them
+        return False
+
+
+def compile_error() -> type[Exception]:
+    """What ``torch.compile`` raises where it cannot compile. Without the private name: its base, ``RuntimeError``."""
+    try:
+        from torch._dynamo.exc import TorchDynamoException
+    except ABSENT:
+        return RuntimeError
+    return TorchDynamoException
