@@ -18,7 +18,7 @@ from torchbrdf.scene.raycast import caster_of
 
 @functools.cache
 def spot_and_shadows(shared_data):
-    mesh, view, scene = spot(shared_data)
+    mesh, view, scene = spot(shared_data / "spot")
     g, lights = tb.GBuffer.from_mesh(mesh, view), Point(*scene["lights"])
     return mesh, view, g, lights, tb.visibility(g, lights, mesh)
 
