@@ -100,7 +100,7 @@ def conjugate_gradients(apply: Callable[[Parts], Parts], b: Parts, scale: Parts)
 
 def dot(a: Parts, b: Parts) -> float:
     """<a, b> over all parts."""
-    return sum(float((x * y).sum()) for x, y in zip(a, b, strict=True))
+    return sum(float((x.detach() * y.detach()).sum()) for x, y in zip(a, b, strict=True))
 
 
 def plus(a: Parts, s: float, b: Parts) -> Parts:
