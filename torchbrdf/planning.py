@@ -183,7 +183,7 @@ def shade(
     sources = check.as_list(lights)
     found = plan(g, bsdf, sources, mesh, tolerance, visibility=visibility, effects=effects, **wishes)
     prepared = found.prepare(g, sources, mesh, visibility, generator)
-    return Plan.__call__(found, g, bsdf, sources, prepared, per_light=per_light)  # torch to 2.8 hashes what it calls, before it is whole
+    return Plan.__call__(found, g, bsdf, sources, prepared, per_light=per_light)  # torch to 2.9 hashes what it calls, before it is whole
 
 
 def _each_once(found: Sequence[Any]) -> tuple[Any, ...]:
