@@ -370,7 +370,18 @@ def textbook_dielectric(_: Any) -> Any:
     return dielectric
 
 
+def lobe_of_another_exponent(original: Any) -> Any:
+    """Reciprocal, smooth, no brighter, sampled as before: nothing but the source says that it is wrong."""
+
+    def faulty(self: Any, g: Any) -> Any:
+        lobe = blinn_phong.half_vector_power(g, g.scalar(self.exponent) + 1.0) * blinn_phong.normal_view_factor(g.scalar(self.exponent))
+        return phong.tinted(g, self.specular, self.fresnel, lobe)
+
+    return faulty
+
+
 FAULTS = (
+    Fault("lobe of another exponent", "textbook", blinn_phong.BlinnPhong, "formula", lobe_of_another_exponent, _blinn),
     Fault("Lambert without 1/pi", "lambert", lambert.Lambert, "formula", lambert_without_pi, _lambert),
     Fault("Lambert without 1/pi", "albedo", lambert.Lambert, "formula", lambert_without_pi, _lambert),
     Fault("wrong normalisation of Phong", "energy_bound", phong.NORMALIZATIONS, "modified", phong_normalised_as_distribution, _plain_phong),

@@ -6,12 +6,16 @@ import oracle
 import pytest
 import torch
 from stability import bounds, curvature, dual, kept, measure, report, rivals
-from stability.case import FEWER, POINTS, Draw
-from stability.cases import CASES, fresnel, lobes, microfacet
+from stability.case import FEWER, POINTS
+from stability.case import Draw as Grid
+from stability.cases import CASES, derived, fresnel, lobes, microfacet
 
 import torchbrdf as tb
-from torchbrdf import numerics
+from torchbrdf import numerics, sampling
+from torchbrdf.bsdf.lobe import Draw
+from torchbrdf.interval import UNIT, Interval
 from torchbrdf.registry import BSDFS, FRESNEL_TERMS
+from torchbrdf.value import COLOUR, SCALAR, param, value
 
 BY_NAME = {case.name: case.on(FEWER) for case in CASES}
 WHOLE = {case.name: case for case in CASES}
@@ -61,7 +65,7 @@ def test_fusion_keeps_second_derivatives():
     assert {case.name: bounds.bent(fused, eager, torch.float32) for case, fused, eager in pairs} == {case.name: [] for case in batch}
 
 
-@pytest.mark.parametrize("name", ["Phong", "Blinn-Phong"])
+@pytest.mark.parametrize("name", ["Phong", "BlinnPhong"])
 def test_lobes_from_vectors(name):
     assert measure.run(BY_NAME[name], torch.float32, second=False).value_everyday <= bounds.PHONG_FROM_VECTORS
 
@@ -70,7 +74,7 @@ def test_every_formula_is_measured():
     covered = {name for case in CASES for name in case.covers}
     functions = [f"{module}.{name}" for module in ("fresnel", "microfacet") for name in getattr(tb, module).__all__]
     assert {*functions, *BSDFS, *FRESNEL_TERMS, *HARD} <= covered, (
-        "a formula joins with its oracle and its hard cases: tests/stability/cases"
+        "a formula joins with its oracle and its hard cases: a model with its textbook formula, others in tests/stability/cases"
     )
 
 
@@ -98,13 +102,53 @@ def test_grids_hold_what_is_hard(dtype, size):
 def test_a_smaller_grid_keeps_every_special_value(name):
     whole, small = (some[name].drawn(torch.float32) for some in (WHOLE, BY_NAME))
     assert len(small) < 0.5 * len(whole)
-    draw = Draw(torch.float32)
+    draw = Grid(torch.float32)
     special = [*draw.cosines(), *fresnel.etas(draw), *lobes.exponents(draw), *microfacet.ROUGHNESS, draw.info.max, 1e3]
     special = {x * sign for x in draw.rounded(special).tolist() for sign in (1.0, -1.0)}
     for column, its, fewer in zip(WHOLE[name].inputs, whole.T, small.T, strict=True):
         values, counts = np.unique(its, return_counts=True)
         meant = special & set(values[counts >= 5].tolist())  # a few are met by accident
         assert meant <= set(fewer.tolist()), column
+
+
+@value
+class RetroLobe(tb.Bsdf):
+    """A contributor's model: one file with its textbook formula, not smooth at wi = wo."""
+
+    albedo: torch.Tensor = param(UNIT, COLOUR, "strength")
+    width: torch.Tensor = param(Interval(0.0, 1.0, open_low=True, typical=(0.1, 0.9)), SCALAR, "of the lobe, as a chord")
+
+    lobes = (tb.Lobe.GLOSSY_REFLECTION,)
+
+    def formula(self, g):
+        chord = 2.0 * numerics.safe_sqrt((1.0 - g.wi_h) * (1.0 + g.wi_h))  # |wi - wo|
+        lobe = torch.exp(-chord / g.scalar(self.width))
+        return tuple(a * lobe for a in g.colour(self.albedo))
+
+    @staticmethod
+    def textbook(m, p, albedo, width):
+        apart = m.positive(1 - p.wi_wo)
+        return albedo * m.where(apart, m.exp(-m.sqrt(m.where(apart, 2 - 2 * p.wi_wo, 1)) / width), 1)
+
+    def density(self, g):
+        return torch.relu(g.cos_i) / np.pi
+
+    def draw(self, viewer, u):
+        return Draw(sampling.cosine_hemisphere(u.x, u.y))
+
+    def kink_distance(self, g):
+        return torch.minimum(super().kink_distance(g), 1.0 - g.wi_h)
+
+
+def test_the_case_of_a_contributors_model_is_derived(monkeypatch):
+    """From its textbook formula, its declared ranges and its kinks, wi = wo among them; and the case sees a slip."""
+    case = derived.case_of(RetroLobe, None, {}).on(FEWER)
+    points = case.drawn(torch.float32)
+    assert (points[:, :3] == points[:, 3:6]).all(1).any()
+    assert bounds.violations(measure.run(case, torch.float32), case.error, case.vectors, torch.float32) == []
+    right = RetroLobe.formula
+    monkeypatch.setattr(RetroLobe, "formula", lambda self, g: tuple(1.0001 * f for f in right(self, g)))
+    assert bounds.violations(measure.run(case, torch.float32, second=False), case.error, case.vectors, torch.float32)
 
 
 def test_a_truth_is_kept_until_its_sources_change(tmp_path, monkeypatch):
@@ -171,7 +215,7 @@ FAULTS = {
     "a dot product rounded": (numerics, "sum_of_products", lambda *p: (sum(x * y for x, y in p), torch.zeros(())), "refract"),
     "a lobe not flushed but cut": (numerics, "flushed_exp", lambda x: torch.exp(x.clamp_min(-20)), "Phong lobe (modified)"),
     "a lobe by the cosine": (numerics, "log1p_power", lambda m, s: (1 - m).clamp_min(1e-6) ** s, "Phong lobe (none)"),
-    "a value nudged": (numerics, "reciprocal_or_zero", lambda x, least=0.0: 1 / (x + 1e-5), "Blinn-Phong"),
+    "a value nudged": (numerics, "reciprocal_or_zero", lambda x, least=0.0: 1 / (x + 1e-5), "BlinnPhong"),
 }
 
 

@@ -60,6 +60,7 @@ class Case:
     signed: bool = False
     vectors: bool = False
     points: int = POINTS
+    source: str = ""  # text of a truth that stands in the package; a kept one is made anew when it changes
 
     def on(self, points: int) -> "Case":
         """The same formula on a grid of another size."""

@@ -127,6 +127,21 @@ def power(x: Any, s: Any) -> Any:
     return where(alive, exp(s * log(where(alive, x, 1))), where(plain(s) == 0, 1, 0))
 
 
+class Exact:
+    """The arithmetic ``m`` in which textbook formulas are written (torchbrdf/testing/textbook.py), to the present precision."""
+
+    sqrt, exp, log, where, power = (staticmethod(f) for f in (sqrt, exp, log, where, power))
+
+    @property
+    def pi(self) -> Any:
+        return pi()
+
+    @staticmethod
+    def positive(x: Any) -> np.ndarray:
+        """Where x > 0, a mask."""
+        return np.asarray(plain(x) > 0, dtype=bool)
+
+
 def atan2(y: Any, x: Any) -> Any:
     """The angle of (x, y) in [-pi, pi], the sign of y = -0 included; 0 with no slope at the origin. By the half angle."""
     px, py = plain(x), plain(y)

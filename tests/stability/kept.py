@@ -11,6 +11,7 @@ import re
 import shutil
 import sys
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,13 @@ import gmpy2
 import numpy as np
 import torch
 
+from torchbrdf.testing import textbook
+
 from . import dual
 
 HERE = Path(__file__).resolve().parent
 FOLDER = HERE.parents[1] / ".cache" / "truths"
-SOURCES = ("case.py", "dual.py", "truth.py", "kept.py", "cases/*.py")  # a truth takes nothing from the package it judges
+SOURCES = ("case.py", "dual.py", "truth.py", "kept.py", "cases/*.py")  # of the package a truth takes ``Case.source`` alone, and Point
 DIGITS = 160  # bits that are kept of each exact number: a hundred more than the results that it is compared with have
 
 shortened = np.frompyfunc(lambda x: gmpy2.round2(x, DIGITS) if x else x, 1, 1)
@@ -33,7 +36,7 @@ shortened = np.frompyfunc(lambda x: gmpy2.round2(x, DIGITS) if x else x, 1, 1)
 def version() -> str:
     """Of the truths: changes with the sources and with the packages that draw and compute."""
     found = hashlib.sha256(f"{sys.version_info[:2]} {gmpy2.version()} {gmpy2.mpfr_version()} {np.__version__} {torch.__version__}".encode())
-    for path in sorted(p for pattern in SOURCES for p in HERE.glob(pattern)):
+    for path in (*sorted(p for pattern in SOURCES for p in HERE.glob(pattern)), Path(textbook.__file__)):
         found.update(path.name.encode() + path.read_bytes())
     return found.hexdigest()[:16]
 
@@ -49,7 +52,7 @@ def kept(compute: Callable[..., Any]) -> Callable[..., Any]:
         dual.set_precision(dtype)
         key = (compute.__name__, case, dtype)
         if key not in _in_memory:
-            name = re.sub(r"[^\w.]+", "-", f"{case.name} {compute.__name__} {dtype} {case.points}")
+            name = re.sub(r"[^\w.]+", "-", f"{case.name} {compute.__name__} {dtype} {case.points} {zlib.crc32(case.source.encode())}")
             _in_memory[key] = _from_disk(FOLDER / version() / f"{name}.pickle", lambda: compute(case, dtype))
         return _in_memory[key]
 

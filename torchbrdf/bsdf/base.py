@@ -5,6 +5,7 @@ is one method, :meth:`Bsdf.deltas`.
 """
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import torch
@@ -32,6 +33,7 @@ class Bsdf(Value):
     lobes: tuple[Lobe, ...] = ()
     reciprocal: bool = True
     variants: ClassVar[tuple[dict[str, Any], ...]] = ({},)  # the static choices of a model, which the contract takes in turn
+    textbook: ClassVar[Callable[..., Any] | None] = None  # f as its source prints it: torchbrdf/testing/textbook.py
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -21,6 +21,7 @@ horizon, but for wi = -wo, where there is no half vector. Source: Blinn 1977.
 """
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -54,6 +55,11 @@ class BlinnPhong(Bsdf):
     def formula(self, g: Geometry) -> Channels:
         s = g.scalar(self.exponent)
         return tinted(g, self.specular, self.fresnel, half_vector_power(g, s) * normal_view_factor(s))
+
+    @staticmethod
+    def textbook(m: Any, p: Any, specular: Any, exponent: Any, fresnel: Any) -> Any:
+        n = (exponent + 2) * (exponent + 4) / (8 * m.pi * (m.exp(-exponent * m.log(2) / 2) + exponent))
+        return specular * n * fresnel(p.wi_h) * m.power(p.cos2_h, exponent / 2)
 
     def density(self, g: Geometry) -> Tensor:
         """Of the half vector, (s+2)/(2 pi) cos^(s+1), over the Jacobian 4 wi.h of the reflection."""

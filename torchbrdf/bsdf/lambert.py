@@ -18,6 +18,7 @@ everywhere above the horizon. Source: Lambert 1760, *Photometria*.
 """
 
 import math
+from typing import Any
 
 from torch import Tensor
 
@@ -40,6 +41,10 @@ class Lambert(Bsdf):
 
     def formula(self, g: Geometry) -> Channels:
         return tuple(a * (1.0 / math.pi) for a in g.colour(self.albedo))
+
+    @staticmethod
+    def textbook(m: Any, p: Any, albedo: Any) -> Any:
+        return albedo / m.pi
 
     def density(self, g: Geometry) -> Tensor:
         return numerics.positive(g.cos_i) * (1.0 / math.pi)

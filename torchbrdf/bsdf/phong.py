@@ -30,6 +30,7 @@ lives, the cosine itself has no digits left.
 """
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -73,6 +74,12 @@ class Phong(Bsdf):
         s = g.scalar(self.exponent)
         lobe = numerics.log1p_power(g.mirror_complement, s) * NORMALIZATIONS[self.normalization](s)
         return tinted(g, self.specular, self.fresnel, lobe)
+
+    @staticmethod
+    def textbook(m: Any, p: Any, specular: Any, exponent: Any, fresnel: Any, normalization: str) -> Any:
+        n = {"none": 1, "bound": (exponent + 1) / (2 * m.pi), "modified": (exponent + 2) / (2 * m.pi)}[normalization]
+        dark = m.positive(-p.cos_mirror)
+        return specular * n * fresnel(p.wi_h) * m.where(dark, 0, m.power(m.where(dark, 1, p.cos_mirror), exponent))
 
     def density(self, g: Geometry) -> Tensor:
         s = g.scalar(self.exponent)

@@ -17,7 +17,8 @@ act as at the nearest end, with gradient 0. Not smooth at: the critical angle, w
 """
 
 from abc import abstractmethod
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -177,6 +178,8 @@ def _fifth_power(m: Tensor) -> Tensor:
 class Fresnel(Value):
     """Interface of the Fresnel terms: what fraction of the power a smooth interface reflects at each angle."""
 
+    textbook: ClassVar[Callable[..., Any] | None] = None  # the law as its source prints it: torchbrdf/testing/textbook.py
+
     @abstractmethod
     def terms(self, layout: Layout, cos: Tensor) -> Channels:
         """Channels at the cosine ``[...]`` of [0, 1] (up to rounding)."""
@@ -206,6 +209,15 @@ class Dielectric(Fresnel):
     """Exact dielectric term (:func:`dielectric`). ``eta``: n(inside) / n(outside); 1.5 is glass in air."""
 
     eta: Tensor = param(ETA, COLOUR, "index of refraction, inside over outside")
+
+    @staticmethod
+    def textbook(m: Any, cos: Any, eta: Any) -> Any:
+        """Fresnel 1823, by Snell's law."""
+        cos2 = 1 - (1 - cos * cos) / (eta * eta)
+        through = m.positive(cos2)
+        cos_t = m.sqrt(m.where(through, cos2, 1))
+        r_s, r_p = (cos - eta * cos_t) / (cos + eta * cos_t), (eta * cos - cos_t) / (eta * cos + cos_t)
+        return m.where(through, (r_s * r_s + r_p * r_p) / 2, m.where(m.positive(1 - eta), 1, 0))
 
     def terms(self, layout: Layout, cos: Tensor) -> Channels:
         return each(lambda eta: dielectric(cos, eta), layout.colour(self.eta))
@@ -240,6 +252,10 @@ class Schlick(Fresnel):
     """Schlick's approximation (:func:`schlick`) from the colour ``f0`` at normal incidence."""
 
     f0: Tensor = param(UNIT, COLOUR, "reflectance at normal incidence")
+
+    @staticmethod
+    def textbook(m: Any, cos: Any, f0: Any) -> Any:
+        return f0 + (1 - f0) * (1 - cos) * (1 - cos) * (1 - cos) * (1 - cos) * (1 - cos)
 
     def terms(self, layout: Layout, cos: Tensor) -> Channels:
         grazing = _fifth_power(numerics.positive(1.0 - cos))  # once for all channels; cos may exceed 1 by rounding

@@ -17,6 +17,7 @@ from .layout import broadcasting, dtypes, planar_memory, vmap
 from .reciprocity import reciprocity
 from .sampling import pdf_integrates_to_one, samples_follow_pdf
 from .subject import Outcome, generator, materials
+from .textbook import textbook
 from .weights import mean_weight, weights_match
 
 Property = Callable[..., Outcome]
@@ -24,6 +25,7 @@ Property = Callable[..., Outcome]
 PROPERTIES: tuple[Property, ...] = (
     gradients,
     second_gradients,
+    textbook,
     reciprocity,
     energy_bound,
     albedo,
