@@ -39,8 +39,8 @@ MODELS_HEAD = (
 API_HEAD = (
     "# Public names\n\n"
     "Look up here the signature and the documentation of every `tb.<name>`; each is imported when it is first used. Names for those who "
-    "extend it (the decorator `value`, the parts of `bsdf.base`) are imported from their modules, see [extending](extending.md): `tb.value` is the module "
-    "`torchbrdf.value`, not the decorator."
+    "extend it (the decorator `value`, the parts of `bsdf.base`) are imported from their modules, see [extending](extending.md): "
+    "`tb.value` is the module `torchbrdf.value`, not the decorator."
 )
 
 
