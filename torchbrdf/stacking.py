@@ -26,6 +26,8 @@ def stack(values: Iterable[Any], dim: int = 0) -> Any:
     """
     if isinstance(values, (Tensor, Value, Mapping, str)) or not isinstance(values, Iterable):
         raise TypeError(f"stack: values: expected a list of values, found {type(values).__name__}; pass [a, b]")
+    if not isinstance(dim, int):
+        raise TypeError(f"stack: dim: expected a whole number, found {dim!r}")
     found = list(values)
     if not found:
         raise ValueError("stack: values: found none; pass at least one")
@@ -47,7 +49,16 @@ def _stack(held: list[Any], dim: int, path: str) -> Any:
     if isinstance(first, (tuple, list)):
         _same([len(x) for x in held], path, "give each as many entries")
         return _like(first, [_stack(list(entries), dim, f"{path}[{j}]") for j, entries in enumerate(zip(*held, strict=True))])
-    return None if first is None else torch.utils.data.default_collate(held)
+    return None if first is None else _collated(held, path)
+
+
+def _collated(held: list[Any], path: str) -> Any:
+    try:
+        return torch.utils.data.default_collate(held)
+    except (TypeError, RuntimeError):
+        what, module = type(held[0]).__name__, isinstance(held[0], torch.nn.Module)
+        remedy = "call the module first: module(g)" if module else "leave it out, or collate it yourself"
+        raise TypeError(f"stack: values[0]{path}: expected values, tensors, numbers, strings or arrays, found {what}; {remedy}") from None
 
 
 class Place(NamedTuple):
