@@ -26,6 +26,8 @@ import rst  # noqa: E402
 NOTICE = "<!-- Written by docs/make_tables.py from the code: change the docstrings and declarations there, then run it. -->"
 MODELS_HEAD = (
     "# Models\n\n"
+    "Choose a reflection model or a Fresnel term here: each with its formula, its parameters and their ranges, its directional albedo, "
+    "where it is not smooth, and its source.\n\n"
     'Every parameter is a pure number, but for Phong\'s `specular` with `normalization="none"`, which is then in 1/sr. '
     "`[..., C]` is a colour (any number of channels), `[..., 1]` a scalar; `...` are batch axes, which broadcast with those of the "
     "points. Ranges are checked by `tb.validate`, `tb.plan` and `tb.shade`. *Drawn from* is where tests take typical values; at the "
@@ -36,9 +38,9 @@ MODELS_HEAD = (
 )
 API_HEAD = (
     "# Public names\n\n"
-    "What `torchbrdf` offers as `tb.<name>`; each is imported when it is first used. Names for those who extend it (the decorator "
-    "`value`, the parts of `bsdf.base`) are imported from their modules, see [extending](extending.md): `tb.value` is the module "
-    "`torchbrdf.value`, not the decorator."
+    "Look up here the signature and the documentation of every `tb.<name>`; each is imported when it is first used. Names for those who "
+    "extend it (the decorator `value`, the parts of `bsdf.base`) are imported from their modules, see [extending](extending.md): "
+    "`tb.value` is the module `torchbrdf.value`, not the decorator."
 )
 
 

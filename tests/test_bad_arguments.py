@@ -146,6 +146,10 @@ CASES = {
     "to whole numbers": (lambda: LAMBERT.to(torch.int64), "to: expected a floating dtype such as torch.float32, found torch.int64"),
     "save to nowhere": (lambda: LAMBERT.save("nowhere/x.pt"), "save: nowhere/x.pt: no such folder: nowhere"),
     "save to nothing": (lambda: LAMBERT.save(None), "save: expected the path of a file, found NoneType"),
+    "stack one value": (lambda: tb.stack(LAMBERT), "stack: values: expected a list of values, found Lambert; pass \\[a, b\\]"),
+    "stack a module": (lambda: tb.stack([torch.nn.ReLU()]), "stack: values\\[0\\]: expected values, tensors, .*, found ReLU; call the module"),
+    "stack an object": (lambda: tb.stack([(LAMBERT, object())]), "stack: values\\[0\\]\\[1\\]: expected .*, found object; leave it out"),
+    "stack along a word": (lambda: tb.stack([LAMBERT, LAMBERT], "up"), "stack: dim: expected a whole number, found 'up'"),
     "load_value None": (lambda: tb.load_value(None), "load_value: expected the path of a file, found NoneType"),
     # lights
     "a light at NaN": (lambda: tb.shade(g(), LAMBERT, tb.PointLight([NAN, 0.0, 0.0], 1.0)), r"PointLight.position \[1, 3\]: legal range .* found nan"),

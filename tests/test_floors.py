@@ -19,6 +19,7 @@ FLOORS = {
             "declaration",
             "value",
             "loading",
+            "stacking",
             "registry",
             "arguments",
             "parameters",

@@ -1,5 +1,7 @@
 """Every formula holds its bounds on its hard grid; every formula has one; and the measure sees what is wrong."""
 
+import re
+
 import gmpy2
 import numpy as np
 import oracle
@@ -225,3 +227,14 @@ def test_a_planted_fault_is_seen(fault, monkeypatch):
     monkeypatch.setattr(module, attribute, faulty)
     case = BY_NAME[name]
     assert bounds.violations(measure.run(case, torch.float32, second=False), case.error, case.vectors, torch.float32)
+
+
+def test_the_published_page_begins_as_the_report_does():
+    """Its words, units and bounds; the figures are those of the last measurement."""
+    page = report.PAGE.read_text(encoding="utf-8")
+    (count,) = re.findall(r"^(\d+) formulas are measured", page, re.MULTILINE)
+    assert page.startswith(report.HEAD.format(formulas=count))
+    explained = {name for cell in re.findall(r"^\| (.*?) \|", page, re.MULTILINE) for name in cell.split(", ")}
+    columns = {c.removesuffix(" (eager)") for c in (*report.EAGER_HEAD, *report.COMPILED_HEAD, *report.RIVAL_HEAD)} - {"formula", ""}
+    assert [c for c in columns if not any(e.startswith(c) for e in explained)] == []
+    assert all(f"| {unit} |" in page for unit in report.UNITS.values())

@@ -22,6 +22,7 @@ _HOME = {
     "declaration": ("param",),
     "value": ("Value", "validate"),
     "loading": ("load_value",),
+    "stacking": ("stack",),
     "io.pictures": ("read_image", "save_image"),
     "optics.fresnel": ("Fresnel",),
     "bsdf.base": ("Bsdf",),

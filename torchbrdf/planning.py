@@ -136,20 +136,20 @@ def plan(
     *,
     visibility: Tensor | None = None,
     effects: Sequence[Effect] = (),
-    **wishes: str,
+    **settings: str,
 ) -> Plan:
     """Decide which effects this scene calls for, after checking every parameter's range.
 
-    ``effects`` are further ones of your own, beside the built-in ones; one of the same name takes its place. A wish is given by an
+    ``effects`` are further ones of your own, beside the built-in ones; one of the same name takes its place. A setting is given by an
     effect's name: ``shadow="off"`` leaves cast shadows out even where a mesh is given. ``tolerance``: every law of this version is
     exact, so None is the only legal value.
     """
     if tolerance is not None:
         raise ValueError(f"tolerance: found {tolerance!r}; every law of this version is computed exactly, so leave it None")
     own = {e.name: e for e in (*EFFECTS, *effects)}
-    unknown = sorted(set(wishes) - set(own))
+    unknown = sorted(set(settings) - set(own))
     if unknown:
-        raise TypeError(f"{unknown[0]}: found {wishes[unknown[0]]!r}, but no effect has that name; effects are {sorted(own)}")
+        raise TypeError(f"{unknown[0]}: found {settings[unknown[0]]!r}, but no effect has that name; effects are {sorted(own)}")
     sources = check.as_list(lights)
     check.check_scene(g, bsdf, sources)
     check.check_mesh(mesh)
@@ -159,7 +159,7 @@ def plan(
         if isinstance(visibility, Tensor):
             check.check_visible_share(visibility)
     scene = Scene(g, bsdf, sources, mesh, visibility)
-    decisions = tuple(e.decide(scene, wishes.get(e.name, AUTO)) for e in own.values())
+    decisions = tuple(e.decide(scene, settings.get(e.name, AUTO)) for e in own.values())
     on = tuple(e for e, d in zip(own.values(), decisions, strict=True) if d.on)
     lobes, kinds = _each_once(bsdf.lobes), _each_once([light.kind for light in sources])
     _refuse_unserved(lobes, kinds, on)
@@ -177,11 +177,11 @@ def shade(
     generator: torch.Generator | None = None,
     tolerance: float | None = None,
     effects: Sequence[Effect] = (),
-    **wishes: str,
+    **settings: str,
 ) -> Tensor:
     """Radiance ``[..., H, W, C]`` of a G-buffer: :func:`plan`, prepare and run in one call. ``mesh=`` lets that mesh cast shadows."""
     sources = check.as_list(lights)
-    found = plan(g, bsdf, sources, mesh, tolerance, visibility=visibility, effects=effects, **wishes)
+    found = plan(g, bsdf, sources, mesh, tolerance, visibility=visibility, effects=effects, **settings)
     prepared = found.prepare(g, sources, mesh, visibility, generator)
     return Plan.__call__(found, g, bsdf, sources, prepared, per_light=per_light)  # torch to 2.9 hashes what it calls, before it is whole
 

@@ -187,23 +187,39 @@ def measure_all(device: str, compile_too: bool, write: bool) -> int:
 HEAD = f"""<!-- Written by `python run.py stability`: measured, never edited. The bounds are in tests/stability/bounds.py. -->
 # Stability, measured
 
-Every formula of the package against exact arithmetic: {{formulas}} formulas, at least 10 000 points each, in four dtypes, eager and compiled.
-The truth is the textbook's formula in 320 to 2600 bits with exact first and second derivatives (dual numbers over arbitrary-precision
-floats, `tests/stability/dual.py`); inputs are exactly the numbers of the dtype. What a value and a slope *ought* to be at an
-edge is decided in [numerics](numerics.md), and the truth follows those decisions.
+Look up here how exact a formula is before you build on it: the errors of its value and of its derivatives in your dtype, eagerly and
+compiled, at hard inputs as well as at everyday ones, and beside textbook code and Mitsuba. Rows are formulas; the columns are explained below.
 
-The grids hold the exact special values and their neighbours to the ulp: cosines 0, ±denormal, 1, 1 ± ulp; indices 1, 1 ± ulp, 1 ± 1e-7, towards 0;
+{{formulas}} formulas are measured against exact arithmetic, at 10 000 points at least each, in four dtypes. The exact value is the textbook's formula in 320 to
+2600 bits with exact first and second derivatives (dual numbers over arbitrary-precision floats, `tests/stability/dual.py`); inputs are exactly
+the numbers of the dtype. What a value and a slope *ought* to be at an edge is said in [numerics](numerics.md), and the exact value follows that.
+
+| column | meaning |
+| --- | --- |
+| points | how many inputs were tried |
+| not finite: value/slope/second | how often the result, a first or a second derivative was infinite or NaN although the exact one is a number of the dtype |
+| below 0/above 1 | how often a result was negative, or a reflectance above 1, which neither can be |
+| unit | in what the next two columns count errors (next table) |
+| p99.9 | the error of the value that 99.9 % of the points do not exceed |
+| max | the largest error of the value at any point |
+| slope, everyday slope | the largest error of a first derivative at everyday inputs, relative to the derivative or the value, whichever is larger (from vectors: to the length of the gradient); half types round the slope itself |
+| off, slopes off by > 1e-4 | the share of all points at which a first derivative is wrong by more than 1e-4 in that sense (4 eps for half types): extremes, where rounding the inputs changes as much |
+| second | the same as *slope* for second derivatives; compiled, it is the Hessian times (1, ..., 1), by forward over reverse, in float32 |
+| excluded points | how many points were left out of the errors, and why; less than 1 % together |
+| (eager) | the figure in brackets is the eager one, beside the compiled one |
+
+| unit | one of it is |
+| --- | --- |
+| ulp | the spacing of numbers of the dtype at the result |
+| ulp of the length | the spacing at the length of a vector of results |
+| ulp of 1 | the spacing at 1, for sums of products of that size |
+| (4 + 2&#124;ln&#124;) eps | what an exponential may lose at f/f_peak far below its peak; ln is the logarithm of that ratio |
+| input roundings | what rounding every direction and parameter once may change: eps (&#124;f&#124; + Σ&#124;x&#124;&#124;∂f/∂x&#124;) |
+
+The inputs hold the exact special values and their neighbours to the ulp: cosines 0, ±denormal, 1, 1 ± ulp; indices 1, 1 ± ulp, 1 ± 1e-7, towards 0;
 every critical angle ± 3 ulp and total reflection; k = 0, denormal, 1e3; exponents 0, 1e-3 … 1e7 at bases 0 and 1; alpha 1e-4 … 1 and
 alpha_x/alpha_y of 1e4; wi = wo, wi = −wo, the mirror direction, the horizon; zero, denormal, huge and non-unit vectors; the poles of frames
 and of lat-long maps; 1e6 times 1e-12.
-
-**Not finite** counts results that are infinite or NaN although the true value (slope, second derivative) is a number of the dtype. It must be 0, as must
-be negative values and reflectances above 1. **p99.9** and **max** are errors of the value, in the unit of its row: *ulp* of the result itself; *of the length*
-of a vector of results; *of 1*, for sums of products of that size; *(4 + 2|ln|) eps*, what an exponential may lose f/f_peak far below its peak; *input
-roundings*, what rounding every direction and parameter once may change, eps (|f| + Σ|x||∂f/∂x|). **Slope** and **second** are the largest errors of
-derivatives on everyday ranges (compiled, *second* is the Hessian times (1, …, 1), by forward over reverse, in float32), relative to the derivative or the value, whichever is larger (from vectors: to the length of the gradient); half types round
-the slope itself. **Off** is the part of the whole grid at which a slope is wrong by more than 1e-4 (4 eps for half types) in that sense: extremes, where
-rounding the inputs does as much. **Excluded points** are counted by reason; together they must stay below 1 %.
 
 | what must hold | bound |
 | --- | --- |

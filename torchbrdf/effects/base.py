@@ -124,8 +124,8 @@ class Effect(ABC):
     lights: ClassVar[tuple[LightKind, ...]]  # ... under these kinds of light
 
     @abstractmethod
-    def decide(self, scene: Scene, wish: str) -> Decision:
-        """Whether this scene calls for the effect; ``wish`` is what the caller asked for by the effect's name, or ``"auto"``."""
+    def decide(self, scene: Scene, setting: str) -> Decision:
+        """Whether this scene calls for the effect; ``setting`` is what the caller asked for by the effect's name, or ``"auto"``."""
 
     def prepare(self, scene: Scene, generator: torch.Generator | None) -> Value | None:
         """What :meth:`run` needs and no graph can compute; nothing, unless an effect says otherwise. Without gradient.

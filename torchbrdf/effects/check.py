@@ -59,8 +59,19 @@ def _check_kinds(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
         if t.device != at.device or (name in ("normal", "view", "tangent") and t.dtype != at.dtype):
             raise TypeError(f"GBuffer.{name}: {parameters.kind(t)} beside position: {parameters.kind(at)}; convert one with .to(...)")
     parameters.check(bsdf, at, "the G-buffer's position")
-    for light in lights:
+    for k, light in enumerate(lights):
+        _check_axes(light, k)
         parameters.check(light, at, "the G-buffer's position", batched=False)
+
+
+def _check_axes(light: Light, k: int) -> None:
+    """Lights have one axis at most, L; stacked ones have more."""
+    if len(light.batch_shape) > (light.kind is LightKind.DELTA):
+        found = f"{type(light).__name__} of batch shape {list(light.batch_shape)}"
+        raise ValueError(
+            f"lights[{k}]: {found} is several sets of lights; take one, light[i], or shade each view under its own: "
+            "torch.vmap(lambda g, light: tb.shade(g, bsdf, light))(g, light)"
+        )
 
 
 def _expected(found: Any, what: str, example: str) -> str:

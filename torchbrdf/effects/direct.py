@@ -32,7 +32,7 @@ class Direct(Effect):
     lobes = Lobe.SPREAD
     lights = (LightKind.DELTA,)
 
-    def decide(self, scene: Scene, wish: str) -> Decision:
+    def decide(self, scene: Scene, setting: str) -> Decision:
         lobes, count = scene.lobe_names(self.lobes), scene.count(*self.lights)
         if not lobes:
             return Decision(self.name, False, "the material has delta lobes alone, and those never meet a point or a direction")

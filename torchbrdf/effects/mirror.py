@@ -26,7 +26,7 @@ class Mirror(Effect):
     lobes = Lobe.DELTA
     lights = (LightKind.INFINITE,)
 
-    def decide(self, scene: Scene, wish: str) -> Decision:
+    def decide(self, scene: Scene, setting: str) -> Decision:
         lobes = scene.lobe_names(self.lobes)
         if not lobes:
             return Decision(self.name, False, "no mirror lobe")

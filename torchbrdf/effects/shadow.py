@@ -38,12 +38,12 @@ class Shadow(Effect):
     lights = ()
     transmission: bool = False  # whether light from behind the surface counts, too
 
-    def decide(self, scene: Scene, wish: str) -> Decision:
-        if wish not in (AUTO, OFF):
-            raise ValueError(f"shadow: found {wish!r}, legal are 'auto' and 'off'")
+    def decide(self, scene: Scene, setting: str) -> Decision:
+        if setting not in (AUTO, OFF):
+            raise ValueError(f"shadow: found {setting!r}, legal are 'auto' and 'off'")
         if not (scene.count(LightKind.DELTA) and scene.lobe_names(self.lobes)):
             return Decision(self.name, False, "no direct light to be blocked")
-        if wish == OFF:
+        if setting == OFF:
             return Decision(self.name, False, "switched off by shadow='off'")
         if scene.mesh is None and scene.visibility is None:
             return Decision(self.name, False, NOTHING_CASTS)

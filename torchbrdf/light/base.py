@@ -91,7 +91,8 @@ class DeltaLight(Light):
         """As every value, with one batch axis at most, of one light at least."""
         for name, t, _ in self.own_tensors():
             if t.dim() > 2 or not t.numel():
-                remedy = "flatten the lights into one axis" if t.dim() > 2 else "leave out lights that there are none of"
+                many = "flatten lights that all views share; for other lights in each view make one light a view, tb.stack and torch.vmap"
+                remedy = many if t.dim() > 2 else "leave out lights that there are none of"
                 raise ValueError(f"{type(self).__name__}.{name}: expected shape [L, {t.shape[-1]}], found {list(t.shape)}; {remedy}")
         super().check_shapes()
 

@@ -1,4 +1,4 @@
-"""The contract that every reflection model and Fresnel term signs, shipped so that yours can sign it too.
+"""The contract: what every reflection model and Fresnel term must keep, with :func:`check` to test yours by it, too.
 
 >>> import torchbrdf as tb
 >>> report = tb.testing.check(tb.Lambert([0.5, 0.4, 0.3]))
