@@ -25,6 +25,7 @@ FLOORS = {
             "parameters",
             "torch_compat",
             "compiling",
+            "method",
             "quadrature",
             "lookup",
             "sampling",

@@ -22,6 +22,9 @@ FRESNEL_TERMS = {
     "Schlick": "optics.fresnel",
 }
 
+# Laws that have several methods (torchbrdf/method.py): the name of each, and the file whose LAWS hold it.
+LAWS: dict[str, str] = {}
+
 
 def registered(table: dict[str, str]) -> tuple[type[Any], ...]:
     """The classes of one of the tables above, in order."""
