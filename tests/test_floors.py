@@ -24,6 +24,7 @@ FLOORS = {
             "parameters",
             "torch_compat",
             "compiling",
+            "training",
             "quadrature",
             "lookup",
             "sampling",
