@@ -26,6 +26,7 @@ FLOORS = {
             "torch_compat",
             "compiling",
             "method",
+            "training",
             "quadrature",
             "lookup",
             "sampling",

@@ -38,6 +38,7 @@ _HOME = {
     "effects.base": ("Contribution", "Decision", "Effect", "Prepared", "Scene", "Surface"),
     "planning": ("Plan", "plan", "shade"),
     "compiling": ("compile",),
+    "training": ("value_and_grad",),
 }
 _MODULES = {"fresnel": "optics.fresnel", "microfacet": "optics.microfacet", "nn": "nn", "testing": "testing"}
 _NAMES = {name: module for module, names in _HOME.items() for name in names} | BSDFS | FRESNEL_TERMS

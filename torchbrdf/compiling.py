@@ -20,14 +20,20 @@ def compile(fn: Callable[..., Any], *, fullgraph: bool = True, recompute: bool =
     """
     if not callable(fn):
         raise TypeError(f"compile: expected a function, a plan or a module, found {type(fn).__name__}")
+    backend = inductor(recompute)
+    return torch.compile(fn, fullgraph=fullgraph, backend=backend) if backend else fn
+
+
+def inductor(recompute: bool = False) -> Any:
+    """The backend of ``torch.compile``; None, with one warning, where there is no C++ compiler."""
     if not torch_compat.has_cpp_compiler():
         _warn_once("no C++ compiler (g++) was found: running eagerly, several times slower; install g++ to compile")
-        return fn
-    return torch.compile(fn, fullgraph=fullgraph, backend=torch_compat.recomputing_backend() if recompute else "inductor")
+        return None
+    return torch_compat.recomputing_backend() if recompute else "inductor"
 
 
 def _warn_once(message: str) -> None:
     global _warned
     if not _warned:
-        warnings.warn(message, RuntimeWarning, stacklevel=3)
+        warnings.warn(message, RuntimeWarning, stacklevel=4)
         _warned = True
