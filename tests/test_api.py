@@ -9,11 +9,7 @@ PUBLIC = """
 BSDFSample BlinnPhong Bsdf Camera Conductor Constraint Contribution Decision Dielectric DirectionalLight Effect EnvironmentMap Frame
 Fresnel GBuffer Geometry Interval Lambert Layout Light LightKind LightSample Lobe Mesh Mirror Phong Plan PointLight Prepared Scaled
 Scene Schlick Sum Surface TwoSided Value Viewer bilinear compile fresnel is_planar load_mesh load_value microfacet nn normalize param
-<<<<<<< HEAD
-plan planar read_image reflect refract save_image shade stack testing validate visibility
-=======
-plan planar read_image reflect refract save_image shade testing validate value_and_grad visibility
->>>>>>> price
+plan planar read_image reflect refract save_image shade stack testing validate value_and_grad visibility
 """.split()  # noqa: SIM905 - a list that can be read
 
 
