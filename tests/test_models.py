@@ -152,3 +152,31 @@ def test_parameters_given_as_numbers_follow_the_device(kind):
             s = bsdf.sample(w, u, w)
             results = (bsdf.evaluate(w, w, w), bsdf.pdf(w, w), bsdf.directional_albedo(w), s.wi, s.weight, s.pdf)
             assert all(r.device.type == kind and r.dtype == torch.float32 for r in results)
+
+
+BELOW = (tb.Lambert(0.3), tb.Phong(0.5, 8.0), tb.BlinnPhong(0.4, 60.0), tb.Mirror(0.5))
+SUMS = (BELOW[0] + BELOW[1] + BELOW[2], BELOW[0] + BELOW[3], 2.0 * BELOW[1], tb.TwoSided(BELOW[1] + BELOW[0]))
+
+
+@pytest.mark.parametrize("bsdf", [*BELOW, *SUMS], ids=lambda b: type(b).__name__)
+def test_no_direction_below_the_horizon_has_a_density(bsdf):
+    """Neither to the light nor to the viewer; a two-sided model has one where both are below."""
+    wi, wo = above(200, generator(6)), above(200, generator(7))
+    assert bsdf.pdf(wi, wo).any() or isinstance(bsdf, tb.Mirror)
+    for a, b in ((-wi, wo), (wi, -wo), (-wi, -wo)):
+        both = isinstance(bsdf, tb.TwoSided) and a is not wi and b is not wo
+        assert both or not bsdf.pdf(a, b).any()
+
+
+def test_a_sum_samples_its_terms_as_they_reflect():
+    """Shares 1 : 2 : 1 among lobes, a factor and a mirror counted in; every weight is then about the whole albedo."""
+    wo = at_angles(0.0).expand(4000, 3)
+    u = torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(4000, dtype=torch.float64)
+    for bsdf, shares in {
+        tb.Lambert([0.1, 0.3]) + tb.Lambert(0.4) + 0.5 * tb.Lambert(0.4): [0.25, 0.5, 0.25],
+        tb.Mirror([0.1, 0.3]) + tb.Lambert(0.4) + 0.5 * tb.Mirror(0.4): [0.25, 0.5, 0.25],
+        tb.Lambert(0.2) + tb.BlinnPhong(0.2, 0.0) + tb.Lambert(0.0): [0.5, 0.5, 0.0],
+    }.items():
+        s = bsdf.sample(wo, u)
+        assert [(s.lobe == k).double().mean().item() for k in range(3)] == pytest.approx(shares, abs=2e-3)
+        torch.testing.assert_close(s.weight.mean(0), bsdf.directional_albedo(wo[0]), rtol=0.02, atol=0)

@@ -279,3 +279,23 @@ def test_a_single_point_is_a_g_buffer_too(channels):
     point = tb.GBuffer(*(getattr(g, name)[2, 3] for name in ("position", "normal", "view")))
     torch.testing.assert_close(tb.shade(point, material, lights), tb.shade(g, material, lights)[2, 3])
     torch.testing.assert_close(tb.shade(point, material, lights, per_light=True), tb.shade(g, material, lights, per_light=True)[:, 2, 3])
+
+
+def test_a_scaled_mirror_shows_a_scaled_environment():
+    g, sky = sheet(dtype=torch.float64), tb.EnvironmentMap(torch.rand(16, 32, 3, dtype=torch.float64))
+    k = torch.tensor([0.5, 0.25, 2.0], dtype=torch.float64)
+    torch.testing.assert_close(tb.shade(g, k * tb.Mirror(0.8), sky), k * 0.8 * tb.shade(g, tb.Mirror(), sky))
+
+
+def test_what_a_mirror_shows_follows_the_normal():
+    """A mirror that turns by an angle moves what it shows by twice that; the map here is 1 + the direction's own components."""
+    v = (torch.arange(128, dtype=torch.float64).unsqueeze(1) + 0.5) / 128 * math.pi
+    u = ((torch.arange(256, dtype=torch.float64) + 0.5) / 256 - 0.5) * 2 * math.pi
+    sky = tb.EnvironmentMap(1 + torch.stack([-v.sin() * u.sin(), v.cos() + 0 * u, v.sin() * u.cos()], -1))
+    g = sheet(dtype=torch.float64)
+    normal, view = (t.clone().requires_grad_() for t in (g.normal, g.view))
+    image = tb.shade(g.replace(normal=normal, view=view), tb.Mirror(), sky)
+    truth = 1 + tb.reflect(tb.normalize(view), tb.normalize(normal))
+    w = torch.randn(image.shape, dtype=torch.float64) * ((normal * view).sum(-1, keepdim=True) > 0)
+    for found, expected in zip(*(torch.autograd.grad((w * x).sum(), (normal, view)) for x in (image, truth)), strict=True):
+        assert (found - expected).norm() < 0.03 * expected.norm()  # piecewise linear between 256 texels: an error of the slope of pi / 256
