@@ -180,3 +180,23 @@ def test_a_sum_samples_its_terms_as_they_reflect():
         s = bsdf.sample(wo, u)
         assert [(s.lobe == k).double().mean().item() for k in range(3)] == pytest.approx(shares, abs=2e-3)
         torch.testing.assert_close(s.weight.mean(0), bsdf.directional_albedo(wo[0]), rtol=0.02, atol=0)
+
+
+def test_shares_teach_nothing():
+    """Weights of samples that stay where they are have the gradient of the albedo only if the choice among terms has none."""
+    a = torch.tensor([0.2, 0.6], dtype=torch.float64, requires_grad=True)
+    wo, u = at_angles(30.0).expand(4096, 3), torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(4096, dtype=torch.float64)
+    for bsdf in (tb.Lambert(a) + tb.Lambert(0.3), tb.Mirror(a) + tb.Lambert(0.3)):
+        (slope,) = torch.autograd.grad(bsdf.sample(wo, u).weight.mean(0).sum(), a)
+        torch.testing.assert_close(slope, torch.ones_like(a), rtol=0.01, atol=0)
+        assert not bsdf.pdf(wo, wo).requires_grad
+
+
+def test_a_black_sum_still_samples():
+    black = tb.Lambert(0.0) + tb.BlinnPhong(0.0, 5.0)
+    wi, wo = above(20, generator(8)), above(20, generator(9))
+    mean = 0.5 * (tb.Lambert(0.5).pdf(wi, wo) + tb.BlinnPhong(0.5, 5.0).pdf(wi, wo))
+    torch.testing.assert_close(black.pdf(wi, wo), mean)
+    s = black.sample(wo, torch.rand(20, 3, dtype=torch.float64))
+    assert (s.weight == 0).all()
+    torch.testing.assert_close(s.wi.norm(dim=-1), torch.ones(20, dtype=torch.float64))

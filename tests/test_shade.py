@@ -299,3 +299,14 @@ def test_what_a_mirror_shows_follows_the_normal():
     w = torch.randn(image.shape, dtype=torch.float64) * ((normal * view).sum(-1, keepdim=True) > 0)
     for found, expected in zip(*(torch.autograd.grad((w * x).sum(), (normal, view)) for x in (image, truth)), strict=True):
         assert (found - expected).norm() < 0.03 * expected.norm()  # piecewise linear between 256 texels: an error of the slope of pi / 256
+
+
+def test_the_side_without_a_mirror_shows_nothing():
+    """Of a surface that is a mirror on one side, the other side is black under an environment, whichever it is."""
+    g, sky = sheet(dtype=torch.float64), tb.EnvironmentMap(torch.rand(16, 32, 3, dtype=torch.float64))
+    behind, matt, shiny = g.replace(normal=-g.normal), tb.Lambert(0.5), tb.Mirror(0.8)
+    for inside, outside in ((shiny, matt), (matt, shiny)):
+        both = tb.TwoSided(inside, outside).select(tb.Lobe.DELTA)
+        seen, unseen = (behind, g) if inside is shiny else (g, behind)
+        torch.testing.assert_close(tb.shade(seen, both, sky), tb.shade(g, shiny, sky))
+        assert not tb.shade(unseen, both, sky).any()
