@@ -7,6 +7,7 @@ import torch
 import trimesh
 
 import torchbrdf as tb
+from torchbrdf.effects import direct
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 
@@ -251,6 +252,9 @@ def test_shadows_by_mesh_by_visibility_and_off():
     known = tb.visibility(g, lights, mesh)
     assert torch.equal(tb.shade(g, tb.Lambert(0.5), lights, visibility=known, per_light=True), cast)
     assert torch.equal(tb.shade(g, tb.Lambert(0.5), lights, visibility=known.bool(), per_light=True), cast)
+    planned = tb.plan(g, tb.Lambert(0.5), lights, mesh)
+    for prepared in (known, planned.prepare(g, lights, mesh)):
+        assert torch.equal(planned(g, tb.Lambert(0.5), lights, prepared, per_light=True), cast)
     wide = tb.shade(g, tb.Lambert(torch.full((8,), 0.5)), lights, visibility=known, per_light=True)
     torch.testing.assert_close(wide, cast.expand_as(wide))
     # A visibility that is given wins over the mesh, and may be soft, and learned.
@@ -310,3 +314,15 @@ def test_the_side_without_a_mirror_shows_nothing():
         seen, unseen = (behind, g) if inside is shiny else (g, behind)
         torch.testing.assert_close(tb.shade(seen, both, sky), tb.shade(g, shiny, sky))
         assert not tb.shade(unseen, both, sky).any()
+
+
+@pytest.mark.parametrize("size", [1, 40, 80])
+def test_groups_of_lights_are_rows_in_order(monkeypatch, size):
+    """Of 36 pixels, lights one by one or two at a time are what they are all at once, each with its own shadow."""
+    g, sun = sheet(), three_lights()[1]
+    lights = [sun, tb.PointLight(torch.randn(5, 3) + 3 * UP, torch.rand(5, 3)), sun]
+    seen = torch.rand(7, 6, 6, 1)
+    whole = tb.shade(g, glossy(), lights, visibility=seen, per_light=True)
+    monkeypatch.setattr(direct, "GROUP", size)
+    torch.testing.assert_close(tb.shade(g, glossy(), lights, visibility=seen, per_light=True), whole)
+    torch.testing.assert_close(tb.shade(g, glossy(), lights, visibility=seen), whole.sum(0))
