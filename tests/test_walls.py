@@ -394,6 +394,13 @@ def test_an_area_light_and_an_effect_that_draws():
     assert not off.calls_for("area")
 
 
+def test_a_visibility_counts_point_and_directional_lights_alone():
+    g, lamp, suns = plate(3, [0.0, 0.3, 1.0]), Square([0.0, 0.0, 2.0], 0.5, 3.0), tb.DirectionalLight([[0.0, 0.0, 1.0]] * 2, 0.5)
+    share = torch.tensor([0.5, 0.25]).reshape(2, 1, 1, 1)
+    rows = tb.shade(g, tb.Lambert(0.5), [lamp, suns], visibility=share, effects=[AreaSampling(1)], per_light=True)
+    torch.testing.assert_close(rows[1:], share * tb.shade(g, tb.Lambert(0.5), suns, per_light=True))
+
+
 def test_the_shader_takes_what_was_prepared():
     g, lamp = plate(3, [0.0, 0.3, 1.0]), Square([0.0, 0.0, 2.0], 0.5, [3.0, 1.0])
     material = tb.nn.Material(tb.Lambert, albedo=tb.nn.Learned([0.5, 0.5]))
