@@ -293,3 +293,14 @@ def test_a_uv_that_is_no_number_does_not_poison_the_slopes_of_the_rest(wrong):
     (slope,) = torch.autograd.grad(image.sum(), vertices)
     assert bool(torch.isfinite(slope).all())
     assert bool(slope.any())
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_one_normal_that_is_no_number_masks_out_its_faces_and_no_others(wrong):
+    v = torch.tensor([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    normals = torch.tensor([[0.0, 0.0, 1.0]]).repeat(4, 1)
+    normals[1, 2] = wrong
+    g = tb.GBuffer.from_mesh(tb.Mesh(v, [[0, 1, 2], [0, 2, 3]], normals=normals), camera((16, 16)))
+    assert {0, 1} <= set(g.triangle.unique().tolist())
+    assert torch.equal(g.valid, g.triangle == 1)
+    assert (g.normal[~g.valid.squeeze(-1)] == 0).all()

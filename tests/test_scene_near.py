@@ -221,3 +221,12 @@ def test_a_line_of_sight_that_meets_the_surface_far_off_is_not_followed():
     g = tb.GBuffer(torch.tensor([[-0.5, 0.1, 0.004]]), up, tb.normalize(torch.tensor([1.0, 0.0, 0.005])))
     start = module.starts(g, mesh, caster_of(mesh))
     torch.testing.assert_close(start.point, torch.tensor([[-0.5, 0.1, 0.0]], dtype=torch.float64))
+
+
+def test_a_half_float_is_looked_for_on_its_triangle():
+    """Its own rounding, 2e-4 here, would let rays start as far off the surface."""
+    mesh, up = tb.Mesh(*plate(1 / 3, 2.0)), torch.tensor([0.0, 0.0, 1.0])
+    g = tb.GBuffer(torch.tensor([[-0.5, 0.1, 1 / 3]]), up, up, triangle=torch.tensor([[0]])).to(torch.float16)
+    start = module.starts(g, mesh, caster_of(mesh))
+    assert (start.point[:, 2] - mesh.vertices[0, 2]).abs() < 1e-12
+    assert start.offset < 1e-5
