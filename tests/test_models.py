@@ -8,7 +8,7 @@ import torch
 import torchbrdf as tb
 from torchbrdf.bsdf.base import PLANAR_CHANNELS
 from torchbrdf.testing.energy import hemisphere
-from torchbrdf.testing.subject import above, at_angles, generator
+from torchbrdf.testing.subject import above, at_angles, directions, generator
 
 UP = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
 EXPONENTS = (0.0, 0.3, 1.0, 5.0, 30.0, 200.0)
@@ -200,3 +200,16 @@ def test_a_black_sum_still_samples():
     s = black.sample(wo, torch.rand(20, 3, dtype=torch.float64))
     assert (s.weight == 0).all()
     torch.testing.assert_close(s.wi.norm(dim=-1), torch.ones(20, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("local", [True, False])
+def test_delta_lobes_know_their_cosine(local):
+    """On the viewer's side of the surface, whichever that is."""
+    frame = tb.Frame.from_normal(directions(40, generator(10)))
+    wo, n = directions(40, generator(11)), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64) if local else frame.normal
+    for bsdf in (tb.Mirror(), tb.TwoSided(tb.Mirror(0.5)), tb.TwoSided(tb.Mirror(0.5), 0.5 * tb.Mirror()) + tb.Lambert(0.1)):
+        viewer = bsdf.viewer(wo, None if local else n)
+        for d in bsdf.deltas(viewer):
+            wi = viewer.layout.join_vector(d.wi)
+            torch.testing.assert_close(d.cos_i, (n * wi).sum(-1))
+            torch.testing.assert_close(wi, tb.reflect(wo, n.expand_as(wo)))

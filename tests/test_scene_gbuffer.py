@@ -96,7 +96,7 @@ def test_derivatives_to_given_normals_and_uv():
 
 
 def test_what_it_holds_fits_together():
-    mesh = ball(subdivisions=3).replace(material=torch.arange(1280).unsqueeze(-1))
+    mesh = ball(subdivisions=3).replace(material=7 + torch.arange(1280).unsqueeze(-1))  # face 0 is not of material 0, the background's
     g = tb.GBuffer.from_mesh(mesh, camera((32, 40)))
     m = g.mask.squeeze(-1)
     origin, direction = camera((32, 40)).rays()
@@ -106,7 +106,7 @@ def test_what_it_holds_fits_together():
     assert torch.equal(g.view, -direction)
     assert g.barycentric[m].min() > -1e-6  # embree decides in float32 which side of an edge a ray passes
     assert ((g.geometric_normal * g.view).sum(-1)[m] > 0).all()
-    assert torch.equal(g.material, torch.where(g.mask, g.triangle, 0))
+    assert torch.equal(g.material, torch.where(g.mask, 7 + g.triangle, 0))
     assert torch.equal(g.triangle == -1, ~g.mask)
     # tangent: u grows along it, and v does not
     gradient = torch.linalg.lstsq(

@@ -192,16 +192,13 @@ def test_points_out_of_reach_stay():
 
 
 def test_weights_without_a_triangle_say_nothing():
-    """Weights that fit triangle 0 by chance do not move a point that knows no triangle."""
+    """Beside the plate; the weights fit a point on the edge of triangle 0, but the point is on no triangle."""
     v, faces = plate(0.0, 2.0)
     mesh, up = tb.Mesh(v, faces), torch.tensor([0.0, 0.0, 1.0])
-    point = torch.tensor([[1.0, -0.5, 0.005]])
-    weights = torch.tensor([[0.25, 0.3725, 0.3775]])  # of (1, -0.49, 0)
-    at = (weights.unsqueeze(-1) * v[faces[0]]).sum(1)
-    assert 0 < (at - point).norm() < 0.02
-    g = tb.GBuffer(point, up, up, triangle=torch.tensor([[-1]]), barycentric=weights)
-    start = module.starts(g, mesh, caster_of(mesh))
-    torch.testing.assert_close(start.point, torch.tensor([[1.0, -0.5, 0.0]], dtype=torch.float64))
+    point, weights = torch.tensor([[2.01, -0.5, 0.001]]), torch.tensor([[0.0, 0.625, 0.375]])
+    for triangle, x in ((-1, 2.01), (0, 2.0)):
+        g = tb.GBuffer(point, up, up, triangle=torch.tensor([[triangle]]), barycentric=weights)
+        assert module.starts(g, mesh, caster_of(mesh)).point[0, 0].item() == pytest.approx(x)
 
 
 def test_rounded_weights_stay_on_their_triangle():
