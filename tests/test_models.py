@@ -213,3 +213,11 @@ def test_delta_lobes_know_their_cosine(local):
             wi = viewer.layout.join_vector(d.wi)
             torch.testing.assert_close(d.cos_i, (n * wi).sum(-1))
             torch.testing.assert_close(wi, tb.reflect(wo, n.expand_as(wo)))
+
+
+def test_a_two_sided_term_is_sampled_as_its_viewers_side_reflects():
+    bsdf = tb.TwoSided(tb.Lambert(0.1), tb.Lambert(0.4)) + tb.TwoSided(tb.Lambert(0.3))
+    u = torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(4000, dtype=torch.float64)
+    for wo, shares in ((UP, [0.0, 4 / 7, 3 / 7]), (-UP, [1 / 4, 0.0, 3 / 4])):
+        lobe = bsdf.sample(wo.expand(4000, 3), u).lobe
+        assert [(lobe == k).double().mean().item() for k in range(3)] == pytest.approx(shares, abs=2e-3)
