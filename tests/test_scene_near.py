@@ -191,16 +191,6 @@ def test_points_out_of_reach_stay():
         assert tb.visibility(tb.GBuffer(points, up, view), Sun(1.0, 0.0, 0.5), mesh).flatten().tolist() == [1.0, 0.0]
 
 
-def test_weights_without_a_triangle_say_nothing():
-    """Beside the plate; the weights fit a point on the edge of triangle 0, but the point is on no triangle."""
-    v, faces = plate(0.0, 2.0)
-    mesh, up = tb.Mesh(v, faces), torch.tensor([0.0, 0.0, 1.0])
-    point, weights = torch.tensor([[2.01, -0.5, 0.001]]), torch.tensor([[0.0, 0.625, 0.375]])
-    for triangle, x in ((-1, 2.01), (0, 2.0)):
-        g = tb.GBuffer(point, up, up, triangle=torch.tensor([[triangle]]), barycentric=weights)
-        assert module.starts(g, mesh, caster_of(mesh)).point[0, 0].item() == pytest.approx(x)
-
-
 def test_rounded_weights_stay_on_their_triangle():
     """Weights of half precision do not sum to 1; the point is on the plane of its triangle all the same."""
     v, faces = plate(1.0, 2.0)
