@@ -63,8 +63,9 @@ def test_light_without_a_direction_gives_nothing_and_no_gradient(make):
     assert (image == 0).all()
     (gradient,) = torch.autograd.grad(image.sum(), at)
     assert (gradient == 0).all()
-    wi, _, _, _ = light.sample(at)
+    wi, _, irradiance, _ = light.sample(at)
     assert (wi == 0).all()
+    assert (irradiance == 0).all()
 
 
 def test_one_light_and_one_intensity_serve_many():
