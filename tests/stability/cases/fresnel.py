@@ -178,13 +178,18 @@ def conductor_ratio(which: str) -> Case:
         everyday_conductor,
         covers=("fresnel.amplitudes",),
         error="length",
-        outside_twice=DENORMAL_K,
+        outside_twice=UNDERFLOWS,
         signed=True,
         at_most_one=True,
     )
 
 
-DENORMAL_K = {"a vacuum up to a denormal k": lambda x: (x["eta"] == 1) & (x["k"] < x.working.smallest_normal)}
+UNDERFLOWS = {
+    "a vacuum up to a denormal k": lambda x: (x["eta"] == 1) & (x["k"] > 0) & (x["k"] < x.working.smallest_normal),
+    "an index whose square underflows, at normal incidence": lambda x: (
+        (x["cos_i"] >= 1) & (np.maximum(x["eta"], x["k"]) < 4 * x.working.smallest_normal**0.5)
+    ),
+}
 
 
 CASES = (
@@ -220,7 +225,7 @@ CASES = (
         conductor_grid,
         everyday_conductor,
         covers=("fresnel.conductor", "Conductor"),
-        outside_twice=DENORMAL_K,
+        outside_twice=UNDERFLOWS,
         at_most_one=True,
     ),
     Case(
