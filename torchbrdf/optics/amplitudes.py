@@ -16,7 +16,7 @@ from torch import Tensor
 
 from .. import numerics
 
-__all__ = ["Amplitudes", "amplitudes", "refracted_root"]
+__all__ = ["Amplitudes", "amplitudes", "at_edge", "refracted"]
 
 
 class Amplitudes(NamedTuple):
@@ -60,7 +60,7 @@ class Complex(NamedTuple):
         below = self.square_modulus()
         return Complex(self.re / below, -self.im / below)
 
-    def where(self, mask: Tensor, re: float) -> "Complex":
+    def where(self, mask: Tensor, re: Tensor | float) -> "Complex":
         """This number where the mask holds, elsewhere a real one."""
         return Complex(torch.where(mask, self.re, re), torch.where(mask, self.im, 0.0))
 
@@ -80,38 +80,53 @@ def amplitudes(cos_i: Tensor, eta: Tensor | float, k: Tensor | float = 0.0) -> A
     zero = torch.zeros_like(c)
     index2 = Complex(n * n - k * k, 2.0 * n * k)
     more = Complex((n - 1.0) * (n + 1.0) - k * k, index2.im)  # than in the vacuum
-    z, vacuum = refracted(c, n, k)
-    s = _ratio(Complex(c, zero), z, more.scaled(-torch.ones_like(c)), vacuum)
-    p = _ratio(index2.scaled(c), z, more.times(_brewster_difference(c, n, k, index2)), vacuum)
+    z, edge = refracted(c, n, k)
+    s = _ratio(Complex(c, torch.zeros_like(c)), z, Complex(-more.re, -more.im)).where(~edge, at_edge(n))
+    p = _ratio(index2.scaled(c), z, more.times(_brewster_difference(c, n, k, index2)))
+    p = p.where(~edge, torch.where(c < 1, at_edge(n), -1.0))
     return Amplitudes(*(numerics.rounded_back(x, dtype) for x in (*s, *p)))
 
 
+def at_edge(n: Tensor) -> Tensor:
+    """What is reflected there, amplitude or power: nothing where matched media graze, elsewhere everything."""
+    return (n != 1).to(n.dtype)
+
+
 def refracted(c: Tensor, n: Tensor, k: Tensor) -> tuple[Complex, Tensor]:
-    """``z``, and where it vanishes because there is no interface, as c^2 underflows; 1 stands for it there."""
-    g2 = numerics.eta2_minus_sin2(c, n, k)
-    vacuum = (n == 1) & (k == 0) & (g2 <= numerics.tiny(g2.dtype))
-    a, b = refracted_root(g2, n * k, c == 1, n, k)
-    return Complex(torch.where(vacuum, 1.0, a), b), vacuum
+    """``z``, and the edge where it is 0 and has no slopes, with 1 in its place: critical angles, grazing matched media.
+
+    There, z = c: slopes by eta grow as 1/c^2, so that the edge is where c^2 underflows. So does the square of a tiny index at
+    normal incidence.
+    """
+    real, half_imag = numerics.eta2_minus_sin2(c, n, k), n * k
+    edge = (half_imag == 0) & (real.abs() <= numerics.tiny(real.dtype))
+    return _root(torch.where(edge, 1.0, real), half_imag), edge
 
 
-def _ratio(t: Complex, z: Complex, difference: Complex, vacuum: Tensor) -> Complex:
-    """``(t - z)/(t + z)``, of which ``difference = t^2 - z^2`` is known without cancellation.
+def _root(real: Tensor, half_imag: Tensor) -> Complex:
+    """``sqrt(real + 2i half_imag)``, not of 0: the part that does not cancel by a square root, the other by division."""
+    modulus = torch.hypot(real, 2.0 * half_imag)
+    forward = real >= 0
+    # not real.abs(), whose slope of 0 at 0 would halve the gradient there
+    large = torch.sqrt(0.5 * (modulus + torch.where(forward, real, -real)))
+    small = half_imag / large
+    return Complex(torch.where(forward, large, small), torch.where(forward, small, large))
+
+
+def _ratio(t: Complex, z: Complex, difference: Complex) -> Complex:
+    """``(t - z)/(t + z)``, of which ``difference = t^2 - z^2`` is known without cancellation; z is not 0.
 
     Where t is small, 1 - 2/(1 + t/z) has the better slopes; elsewhere difference/(t + z)^2.
     """
-    largest = torch.maximum(torch.maximum(t.re.abs(), t.im), torch.maximum(z.re, z.im)).detach()
-    scale = 1.0 / largest.clamp_min(numerics.tiny(largest.dtype))  # squares underflow at grazing between nearly equal media
+    scale = 1.0 / torch.maximum(torch.maximum(t.re.abs(), t.im), torch.maximum(z.re, z.im)).detach()  # squares may underflow
     t, z = t.scaled(scale), z.scaled(scale)
-    size = z.square_modulus()
-    far = 16.0 * t.square_modulus() < size
-    quotient = t.times(z.where(far, 1.0).reciprocal()).where(far, 0.0)
+    small = 16.0 * t.square_modulus() < z.square_modulus()
+    quotient = t.where(small, 0.0).times(z.where(small, 1.0).reciprocal())
     below = Complex(1.0 + quotient.re, quotient.im).reciprocal()
-    scale = torch.where(far, 1.0, scale)
-    above = difference.where(~far, 0.0).scaled(scale).scaled(scale)
-    inverse = t.plus(z).where(~far, 1.0).reciprocal()
-    other = above.times(inverse.times(inverse))
-    found = Complex(torch.where(far, 1.0 - 2.0 * below.re, other.re), torch.where(far, -2.0 * below.im, other.im))
-    found = found.where(size > 0, 1.0).where(~vacuum, 0.0)
+    scale = torch.where(small, 1.0, scale)
+    inverse = t.plus(z).where(~small, 1.0).reciprocal()
+    other = difference.where(~small, 0.0).scaled(scale).scaled(scale).times(inverse.times(inverse))
+    found = (torch.where(small, 1.0 - 2.0 * below.re, other.re), torch.where(small, -2.0 * below.im, other.im))
     return Complex(*(numerics.at_least(numerics.at_most(x, 1.0), -1.0) for x in found))
 
 
@@ -122,21 +137,3 @@ def _brewster_difference(c: Tensor, n: Tensor, k: Tensor, index2: Complex) -> Co
     x, y, one = n * c, k * c, torch.ones_like(c)
     low = numerics.product_error(n, c, x)
     return Complex(numerics.value_of(numerics.sum_of_products((one, -one), (x, x), (c, c), (x, 2.0 * low), (y, -y))[0], re), im)
-
-
-def refracted_root(real: Tensor, half_imag: Tensor, normal: Tensor, n: Tensor, k: Tensor) -> tuple[Tensor, Tensor]:
-    """``sqrt(real + 2i half_imag)`` = a + ib: the part that does not cancel by a square root, the other by division.
-
-    Where both are 0: 0, the critical angle; at ``normal`` incidence their squares underflowed, and the root is ``n + ik``.
-    """
-    degenerate = (real == 0) & (half_imag == 0)
-    t = torch.where(degenerate, 1.0, real)
-    modulus = torch.hypot(t, 2.0 * half_imag)
-    forward = t >= 0
-    # not t.abs(), whose slope of 0 at 0 would halve the gradient there
-    large = torch.sqrt(0.5 * (modulus + torch.where(forward, t, -t)))
-    small = half_imag / large
-    a = torch.where(forward, large, small)
-    b = torch.where(forward, small, large)
-    index = n.clamp_min(4.0 * numerics.tiny(n.dtype)) * normal  # slopes of 4/eta are numbers
-    return torch.where(degenerate, index, a), torch.where(degenerate, k * normal, b)

@@ -27,7 +27,7 @@ from ..geometry import Channels, Layout, each
 from ..interval import UNIT, Interval
 from ..value import COLOUR, Value, param, value
 from ..vector import stack
-from .amplitudes import Amplitudes, amplitudes, refracted
+from .amplitudes import Amplitudes, amplitudes, at_edge, refracted
 
 __all__ = ["Amplitudes", "amplitudes", "conductor", "dielectric", "refraction_cosine", "schlick"]
 ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0), flat=(1.0,))
@@ -106,17 +106,16 @@ def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
     """
     (c, n, k), dtype = numerics.working(cos_i, eta, k)
     c = numerics.unit_interval(c)
-    (a, b), vacuum = refracted(c, n, k)
+    (a, b), edge = refracted(c, n, k)
     senkrecht = _perpendicular(c, a, b, (n - 1.0) * (n + 1.0) - k * k, 2.0 * n * k)
     both = 0.5 * senkrecht * (1.0 + _parallel_share(c, a, b))
-    return numerics.rounded_back(torch.where(vacuum, 0.0, numerics.at_most(both, 1.0)), dtype)
+    return numerics.rounded_back(torch.where(edge, at_edge(n), numerics.at_most(both, 1.0)), dtype)
 
 
 def _parallel_share(c: Tensor, a: Tensor, b: Tensor) -> Tensor:
     """R_p / R_s."""
     ac, bc, s2 = a * c, b * c, (1.0 - c) * (1.0 + c)
-    largest = torch.maximum(torch.maximum(ac, bc), s2).detach()
-    scale = 1.0 / largest.clamp_min(numerics.tiny(c.dtype))  # the squares of a tiny index underflow at normal incidence
+    scale = 1.0 / torch.maximum(torch.maximum(ac, bc), s2).detach()  # squares of a tiny index underflow at normal incidence
     ac, b2c2, s2 = ac * scale, (bc * scale) ** 2, s2 * scale
     return ((ac - s2) ** 2 + b2c2) / ((ac + s2) ** 2 + b2c2)
 
