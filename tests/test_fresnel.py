@@ -10,6 +10,7 @@ from torch.autograd import grad
 
 import torchbrdf as tb
 from torchbrdf import fresnel
+from torchbrdf.geometry import Layout
 from torchbrdf.optics.metals import index_at, tables
 
 DTYPES = (torch.float32, torch.float64)
@@ -181,6 +182,20 @@ def test_half_types_round_once(half):
     ):
         assert found.dtype == half
         assert bool(((found.double() - exact).abs() <= 0.501 * torch.finfo(half).eps * exact).all())
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_kink_distance_is_zero_at_the_critical_angle(dtype):
+    """And grows as |g^2| to both sides; of several channels the nearest counts."""
+    eta = torch.tensor([0.6, 1.5], dtype=dtype)
+    cos = torch.tensor([0.8, 0.85, 0.7, 1.0, 0.0], dtype=dtype)
+    mirror, wo = tb.Mirror(1.0, tb.Dielectric(eta)), torch.stack([torch.sqrt(1 - cos * cos), 0 * cos, cos], -1)
+    expected = [0.0, 0.85**2 - 0.64, 0.64 - 0.49, 0.36, 0.64]
+    term = tb.Dielectric(eta).kink_distance(Layout.beside(cos), cos)
+    assert term.tolist() == pytest.approx(expected, abs=4 * torch.finfo(dtype).eps)
+    viewer = mirror.geometry(wo * torch.tensor([-1, -1, 1], dtype=dtype), wo)
+    assert mirror.kink_distance(viewer).tolist() == pytest.approx(expected[:4] + [0.0], abs=4 * torch.finfo(dtype).eps)
+    assert tb.Conductor(0.2, 3.0).kink_distance(Layout.beside(cos), cos).tolist() == [1.0] * 5
 
 
 def test_beyond_the_interval_as_at_its_ends():
