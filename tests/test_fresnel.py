@@ -194,7 +194,7 @@ def test_kink_distance_is_zero_at_the_critical_angle(dtype):
     term = tb.Dielectric(eta).kink_distance(Layout.beside(cos), cos)
     assert term.tolist() == pytest.approx(expected, abs=4 * torch.finfo(dtype).eps)
     viewer = mirror.geometry(wo * torch.tensor([-1, -1, 1], dtype=dtype), wo)
-    assert mirror.kink_distance(viewer).tolist() == pytest.approx(expected[:4] + [0.0], abs=4 * torch.finfo(dtype).eps)
+    assert mirror.kink_distance(viewer).tolist() == pytest.approx([*expected[:4], 0.0], abs=4 * torch.finfo(dtype).eps)
     assert tb.Conductor(0.2, 3.0).kink_distance(Layout.beside(cos), cos).tolist() == [1.0] * 5
 
 

@@ -55,7 +55,7 @@ _WORDS = {1: "diffuse", 2: "glossy", 4: "delta", 8: "reflection", 16: "transmiss
 
 
 class BSDFSample(NamedTuple):
-    """What ``sample`` returns. Where ``lobe`` is a delta, ``pdf`` is the discrete probability of choosing it; elsewhere it is ``bsdf.pdf(wi, wo)``."""
+    """What ``sample`` returns. Where ``lobe`` is a delta, ``pdf`` is the discrete probability of choosing it, elsewhere ``bsdf.pdf``."""
 
     wi: Tensor  # [..., 3] unit, in the frame of wo
     weight: Tensor  # [..., C] f |cos| / pdf; 0 outside the model's domain

@@ -71,13 +71,14 @@ def amplitudes(cos_i: Tensor, eta: Tensor | float, k: Tensor | float = 0.0) -> A
 
     ``cos_i`` in [0, 1], ``eta`` > 0, ``k`` >= 0, broadcast. Time runs as exp(-i omega t), so k >= 0 absorbs. The axes of p before
     and after, with that of s and the ray, are right-handed: ``r_p = -r_s`` at normal incidence, -1 both at grazing (Born & Wolf).
+    Mitsuba's are the complex conjugates, of time exp(+i omega t).
     A dielectric's are real up to the critical angle, of modulus 1 with a phase beyond; ``(|r_s|^2 + |r_p|^2)/2`` is the
-    reflectance of :func:`dielectric` or :func:`conductor`. Between equal media 0, grazing included. By eta and k they have
-    slopes at eta = 1, too, which grow as 1/c^2: where c^2 underflows, and at the critical angle, the gradient is 0.
+    reflectance of :func:`dielectric` or :func:`conductor`. Between equal media 0, grazing included.
+    Slopes are infinite to both sides of the critical angle, and at eta = 1, k = 0 by eta and k as 1/c^2 towards grazing: at that
+    angle itself, and where c^2 underflows, the gradient is 0.
     """
     (c, n, k), dtype = numerics.working(cos_i, eta, k)
     c = numerics.unit_interval(c)
-    zero = torch.zeros_like(c)
     index2 = Complex(n * n - k * k, 2.0 * n * k)
     more = Complex((n - 1.0) * (n + 1.0) - k * k, index2.im)  # than in the vacuum
     z, edge = refracted(c, n, k)

@@ -93,9 +93,9 @@ def eta_bulk(draw: Draw):
 
 
 def dielectric_grid(draw: Draw) -> np.ndarray:
-    special = np.concatenate(
-        [draw.product(draw.cosines(), etas(draw)), critical(draw, [1e-2, 0.25, 0.4, 0.5, 2 / 3, 0.75, 0.95, 0.999, 1 - 1e-4])]
-    )
+    angles = critical(draw, [1e-2, 0.25, 0.4, 0.5, 2 / 3, 0.75, 0.95, 0.999, 1 - 1e-4])
+    grazing = draw.product(draw.info.tiny**0.5 * np.array([0.1, 0.5, 1.0, 2.0, 1e3]), draw.near(1.0, 1))  # their squares underflow
+    special = np.concatenate([draw.product(draw.cosines(), etas(draw)), angles, grazing])
     return draw.fill(special, draw.cosine_bulk, eta_bulk(draw))
 
 
@@ -108,14 +108,17 @@ def underflowing(draw: Draw) -> np.ndarray:
     """Indices whose squares underflow, or nearly, at normal incidence and beside it."""
     tiny = draw.rounded([draw.denormal, draw.info.tiny, draw.info.tiny**0.5, 1e-20, 1e-10, 1e-3])
     tiny = tiny[tiny > 0]
-    return draw.product([0.0, draw.info.tiny, *draw.near(1.0, 1)], tiny, tiny)
+    grazing = draw.product(draw.info.tiny**0.5 * np.array([0.1, 1.0, 1e3]), [1.0], [0.0, draw.denormal])
+    return np.concatenate([draw.product([0.0, draw.info.tiny, *draw.near(1.0, 1)], tiny, tiny), grazing])
 
 
 def conductor_grid(draw: Draw) -> np.ndarray:
     small = [*least(draw), 1e-2, 0.05]
     special = draw.product(draw.cosines(), [*small, 0.2, 0.5, 1.0, 1.5, 3.0, 10.0], [0.0, draw.denormal, 1e-3, 0.5, 2.0, 7.0, 1e3])
     angle = critical(draw, [0.25, 0.5, 0.75, 0.95])
-    special = np.concatenate([special, underflowing(draw), *[np.column_stack([angle, np.full(len(angle), k)]) for k in draw.rounded([0.0, 1e-3, 0.1])]])
+    special = np.concatenate(
+        [special, underflowing(draw), *[np.column_stack([angle, np.full(len(angle), k)]) for k in draw.rounded([0.0, 1e-3, 0.1])]]
+    )
     return draw.fill(special, draw.cosine_bulk, lambda n: draw.spread(n, 0.02, 10.0), lambda n: draw.spread(n, 1e-3, 20.0))
 
 
