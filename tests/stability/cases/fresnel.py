@@ -85,9 +85,9 @@ def etas(draw: Draw) -> list[float]:
 
 def eta_bulk(draw: Draw):
     def etas(n):
-        near = 1 + draw.rng.choice([-1, 1], n) * draw.spread(n, 1e-6, 0.5)
-        kind = draw.rng.integers(0, 32, n)
-        return np.select([kind == 0, kind < 12], [1.0, near], draw.spread(n, 0.25, 4.0))
+        near = 1 + draw.rng.choice([-1, 1], n) * draw.spread(n, max(1e-6, draw.info.eps), 0.5)
+        kind = draw.rng.integers(0, 64, n)
+        return np.select([kind == 0, kind < 22], [1.0, near], draw.spread(n, 0.25, 4.0))
 
     return etas
 
