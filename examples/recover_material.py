@@ -56,15 +56,20 @@ def true_values(problem: Problem, seen: Tensor | None) -> dict[str, float]:
 
 
 def report(truth: dict[str, float], start: dict[str, float], recovered: dict[str, Tensor], sure: dict[str, float]) -> list[dict[str, Any]]:
-    """Print truth | start | recovered | error | confidence; eta's error is that of eta - 1, which is what reflects."""
+    """Print truth | start | recovered | error | confidence; eta's error is that of eta - 1, which is what reflects.
+
+    Errors are relative to the truth, and absolute where the truth is 0.
+    """
     print(f"\n{'':<20}{'truth':>10}{'start':>10}{'recovered':>11}{'error':>9}   confidence (1 sigma)")
     rows = []
     for name, value in recovered.items():
         got, true = float(value.detach()), truth.get(name)
-        error = None if true is None else abs(got - true) / abs(true - 1 if name == "eta" else true)
+        size = None if true is None else abs(true - 1 if name == "eta" else true)
+        error = None if true is None else abs(got - true) / (size or 1.0)
         rows.append({"name": name, "truth": true, "start": start[name], "recovered": got, "error": error, "sigma": sure[name]})
-        shown = "         -" if true is None else f"{true:10.4f}"
-        print(f"{name:<20}{shown}{start[name]:10.4f}{got:11.4f}{'      -' if error is None else f'{error:8.2%}'}   +- {sure[name]:.5f}")
+        truly = "         -" if true is None else f"{true:10.4f}"
+        off = "      -" if error is None else f"{error:8.2%}" if size else f"{error:8.4f}"
+        print(f"{name:<20}{truly}{start[name]:10.4f}{got:11.4f}{off:>8}   +- {sure[name]:.5f}")
     return rows
 
 
@@ -100,7 +105,10 @@ def _texel_error(material: nn.Module, problem: Problem, seen: Tensor | None) -> 
     """Mean relative error over the seen texels, where the true texture is known."""
     truth = problem.truth.get("albedo")
     texture = next((m for m in material.modules() if isinstance(m, tb.nn.Texture)), None)
-    if texture is None or truth is None or truth.dim() != 3:
+    if texture is None or seen is None or truth is None or truth.dim() != 3:
+        return []
+    seen = seen & (truth > 0).all(-1)  # relative to a black texel there is no error
+    if not seen.any():
         return []
     error = float(((texture.value.detach() - truth).abs() / truth)[seen].mean())
     print(f"texel by texel: mean error {error:.2%} over the {int(seen.sum())} of {seen.numel()} texels that the images show")

@@ -69,6 +69,25 @@ def test_mirror():
     assert tb.Mirror().evaluate(s.wi, wo).item() == 0
     assert tb.Mirror().lobes == (tb.Lobe.DELTA_REFLECTION,)
     assert tb.Mirror().sample(-wo, torch.rand(1, 2, dtype=torch.float64)).weight.item() == 0
+    assert tb.Mirror([0.3, 0.5], tb.Dielectric(1.5)).energy_bound.tolist() == tb.Mirror([0.3, 0.5]).energy_bound.tolist()
+    assert tb.Mirror([0.3, 0.5]).energy_bound.tolist() == pytest.approx([0.3, 0.5]), "reached at grazing, or without a Fresnel term"
+
+
+def test_a_delta_has_no_density_but_a_probability():
+    """`pdf` is that of the other lobes; a sample of a delta says how likely its lobe was."""
+    wo = at_angles(30.0)
+    for model, delta in ((tb.Mirror(0.5), 0), (tb.Lambert(0.5) + tb.Mirror(0.5), 1)):
+        for u in (0.01, 0.99):
+            s = model.sample(wo, torch.tensor([[0.3, 0.6, u]], dtype=torch.float64))
+            density = model.pdf(s.wi, wo)
+            chosen_delta = s.lobe.item() == delta
+            assert chosen_delta == bool(model.lobes[s.lobe.item()] & tb.Lobe.DELTA)
+            if chosen_delta:
+                assert s.pdf.item() == pytest.approx(1.0 if delta == 0 else 0.5)
+                lambert = 0.5 * tb.Lambert(0.5).pdf(s.wi, wo).item()
+                assert density.item() == pytest.approx(0.0 if delta == 0 else lambert)
+            else:
+                assert s.pdf.item() == pytest.approx(density.item())
 
 
 def test_sum_and_scaled():

@@ -121,7 +121,9 @@ class Bsdf(Value):
     def pdf(self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False) -> Tensor:
         """Density ``[..., 1]`` per steradian with which :meth:`sample` gives ``wi`` for ``wo``; 0 outside the model's domain.
 
-        Integrates to 1, less the share of samples that are drawn outside the domain (their weight is 0) and the share of delta lobes.
+        Integrates to 1, less the share of samples that are drawn outside the domain (their weight is 0) and the share of delta lobes:
+        those have no density, and this is that of the other lobes alone, 0 for a :class:`Mirror`. A sample that came from a delta
+        reports in ``BSDFSample.pdf`` the discrete probability with which that lobe was chosen, not this.
         """
         from .sampler import mixture_density
 
