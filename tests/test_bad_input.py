@@ -112,6 +112,7 @@ CASES = {
     "validate looks too": (lambda t: tb.validate(tb.Lambert(1.2)), ValueError, r"Lambert.albedo \[1\]: legal range \[0, 1\], found 1.2"),
     # lights
     "lights of mismatched batch": (lambda t: tb.PointLight(torch.zeros(3, 3), torch.ones(2, 3)), ValueError, r"PointLight: batch shapes do not broadcast: .*\(3,\).*\(2,\)"),
+    "views of lights": (lambda t: shade(lights=tb.PointLight(torch.rand(3, 2, 3), 1.0)), ValueError, r"PointLight: batch shape \[3, 2\], read as \[3\] views with 2 lights each, does not fit a G-buffer of \[4, 5\]"),
     "no lights": (lambda t: shade(lights=[]), ValueError, r"lights: found none; pass at least one, such as"),
     "what is no light": (lambda t: shade(lights=[SUN, UP]), TypeError, r"lights\[1\]: expected a light such as tb.PointLight.*, found Tensor"),
     "a list in a list": (lambda t: shade(lights=[[SUN]]), TypeError, r"lights\[0\]: expected a light such as .*, found list"),

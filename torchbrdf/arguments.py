@@ -76,3 +76,8 @@ def broadcast(shapes: Mapping[str, Sequence[int]], what: str) -> Any:
         return torch.broadcast_shapes(*batched)
     except RuntimeError:
         raise ValueError(f"{what} do not broadcast: {shapes}; make them equal, or 1") from None
+
+
+def leads(first: Sequence[int], shape: Sequence[int]) -> bool:
+    """Whether axes broadcast to the first axes of ``shape`` without changing them."""
+    return len(first) <= len(shape) and not [a for a, b in zip(first, shape, strict=False) if a not in (1, b)]

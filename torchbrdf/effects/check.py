@@ -8,7 +8,7 @@ from torch import Tensor
 
 from .. import arguments, parameters
 from ..bsdf.base import Bsdf
-from ..light.base import Light, LightKind
+from ..light.base import DeltaLight, Light, LightKind
 from ..scene.gbuffer import GBuffer
 from ..scene.mesh import Mesh
 
@@ -61,6 +61,8 @@ def _check_kinds(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
     parameters.check(bsdf, at, "the G-buffer's position")
     for light in lights:
         parameters.check(light, at, "the G-buffer's position", batched=False)
+        if isinstance(light, DeltaLight):
+            light.check_views(g.batch_shape, "a G-buffer")
 
 
 def _expected(found: Any, what: str, example: str) -> str:
