@@ -201,9 +201,17 @@ def test_shadows_of_lights_by_view():
     lights = [tb.DirectionalLight(up, 1.0), light]
     found = tb.visibility(g, lights, plate)
     assert found[..., 0].tolist() == [[[1, 1], [1, 1]], [[1, 0], [0, 1]]]
-    assert torch.equal(tb.visibility(g.replace(view=up, uv=torch.zeros(2, 1, 2)), lights, plate), found)
     image = tb.shade(g, tb.Lambert(0.5), lights, mesh=plate, per_light=True)
     assert torch.equal(image, tb.shade(g, tb.Lambert(0.5), lights, per_light=True) * found)
+
+
+def test_rows_of_lights_by_view_and_of_others_have_one_shape():
+    """Points that lie on their own triangles are not repeated for each view, where a field that no ray needs has the views."""
+    floor = tb.Mesh([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]], [[0, 1, 2]])
+    g = tb.GBuffer.from_triangles(floor, torch.zeros(5, 1, dtype=torch.int64), torch.full((5, 3), 1 / 3))
+    by_view = g.replace(uv=torch.zeros(2, 1, 2))
+    lights = [tb.DirectionalLight([0.0, 0.0, 1.0], 1.0), tb.PointLight(torch.tensor([[[0.0, 0.0, 1.0]], [[0.0, 0.0, -1.0]]]), 1.0)]
+    assert tb.visibility(by_view, lights, floor)[..., 0, 0].tolist() == [[1, 1], [1, 0]]
 
 
 def test_lights_by_view_make_one_full_graph():
