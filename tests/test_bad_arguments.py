@@ -6,6 +6,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 import trimesh
@@ -150,7 +151,19 @@ CASES = {
     # lights
     "a light at NaN": (lambda: tb.shade(g(), LAMBERT, tb.PointLight([NAN, 0.0, 0.0], 1.0)), r"PointLight.position \[1, 3\]: legal range .* found nan"),
     "an infinite light": (lambda: tb.shade(g(), LAMBERT, tb.DirectionalLight([0.0, 0.0, 1.0], math.inf)), r"DirectionalLight.irradiance \[1, 1\]: legal range .* found inf"),
-    "lights in a grid": (lambda: tb.PointLight(torch.rand(2, 2, 3), torch.rand(2, 2, 1)), r"PointLight.position: expected shape \[L, 3\], found \[2, 2, 3\]; flatten"),
+    "lights in a grid": (lambda: tb.shade(g(), LAMBERT, tb.PointLight(torch.rand(2, 2, 3), torch.rand(2, 2, 1))), r"PointLight: batch shape \[2, 2\], read as \[2\] views with 2 lights each, does not fit a G-buffer of \[4, 5\]"),
+    "a row of points channels first": (lambda: LAMBERT.evaluate(torch.rand(3, 5, 6), UP), r"wi: expected shape \[..., 3\], found \[3, 5, 6\]; did you mean x.movedim\(-3, -1\) -> \[5, 6, 3\]"),
+    "bytes for directions": (lambda: LAMBERT.evaluate(UP.byte(), UP), r"wi: expected a tensor of floats, found torch.uint8; bytes of a picture become x / 255"),
+    "bytes for texels": (lambda: tb.bilinear(torch.zeros(4, 4, 3, dtype=torch.uint8), torch.rand(5, 2)), r"texels: .*found torch.uint8; bytes of a picture become x / 255 .*tb.read_image"),
+    "bytes for a texture": (lambda: tb.nn.Texture(torch.zeros(4, 4, 3, dtype=torch.uint8), srgb=True), r"Texture: found torch.uint8; bytes of a picture become x / 255 .*tb.read_image"),
+    "bytes for a field": (lambda: tb.nn.Constant(np.zeros((4, 5, 3), np.uint8)), r"Constant: found torch.uint8; bytes of a picture become x / 255"),
+    "bytes for a sky": (lambda: tb.EnvironmentMap(torch.ones(2, 4, 3, dtype=torch.uint8)), r"EnvironmentMap.texels: .*found torch.uint8; bytes of a picture become x / 255"),
+    "a texture channels first": (lambda: tb.nn.Texture(torch.rand(3, 32, 40)), r"Texture.texels: expected shape \[Ht, Wt, C\] with pixels in it, found \[3, 32, 40\]; channels first\? x.permute\(1, 2, 0\) -> \[32, 40, 3\]"),
+    "a sky channels first": (lambda: tb.EnvironmentMap(torch.rand(3, 16, 32)), r"EnvironmentMap.texels: .*found \[3, 16, 32\]; channels first\? x.permute"),
+    "bilinear channels first": (lambda: tb.bilinear(torch.rand(4, 32, 40), torch.rand(5, 2)), r"texels: .*channels first\? x.permute\(1, 2, 0\) -> \[32, 40, 4\]"),
+    "a batch of textures": (lambda: tb.nn.Texture(torch.rand(2, 8, 8, 3)), r"Texture.texels: .*found \[2, 8, 8, 3\]; take one picture of the batch"),
+    "a grey sky": (lambda: tb.EnvironmentMap(torch.rand(4, 8)), r"EnvironmentMap.texels: expected shape \[..., Hm, Wm, C\], found \[4, 8\]; did you mean x.unsqueeze\(-1\) -> \[4, 8, 1\]"),
+    "a map without channels": (lambda: LAMBERT.replace(albedo=torch.rand(5, 5)).evaluate(UP.expand(5, 5, 3), UP), r"Lambert.albedo: expected shape \[..., C\], found \[5, 5\] beside wi; a map without channels is x\[..., None\] -> \[5, 5, 1\]"),
     "lights None": (lambda: tb.shade(g(), LAMBERT, None), "lights: expected a light or a list of lights such as .*found NoneType"),
     "lights in a dictionary": (lambda: tb.shade(g(), LAMBERT, {"sun": SUN}), r"lights\[0\]: expected a light such as .*found str"),
     "a sky elsewhere": (lambda: SKY.to("meta").radiance(UP), "EnvironmentMap.texels: float32 on meta beside wi: float32 on cpu; convert one"),

@@ -51,8 +51,7 @@ class Value:
     def check_shapes(self) -> None:
         """Channels must agree (or be 1), axes of one name must have one size, and batch axes must broadcast."""
         channels = {n: t.shape[-1] for n, t, s in self.own_tensors() if s.is_colour and t.shape[-1] != 1}
-        if len(set(channels.values())) > 1:
-            raise ValueError(f"{type(self).__name__}: colour parameters have different numbers of channels: {channels}; use one C, or 1")
+        arguments.one_count(channels, f"{type(self).__name__}: colour parameters have different numbers of channels")
         self._check_named_axes()
         arguments.broadcast({n: tuple(s.batch(t)) for n, t, s in self.own_tensors()}, f"{type(self).__name__}: batch shapes")
 

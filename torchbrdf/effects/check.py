@@ -36,12 +36,11 @@ def check_scene(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int:
     _check_kinds(g, bsdf, lights)
     if not expands_to(bsdf.batch_shape, g.batch_shape):
         raise ValueError(
-            f"bsdf: parameters of batch shape {list(bsdf.batch_shape)} do not fit a G-buffer of {list(g.batch_shape)}; "
-            "give parameters [C] or [H, W, C], or look textures up with tb.nn.Texture"
+            f"bsdf: parameters of batch shape {list(bsdf.batch_shape)} do not fit a G-buffer of {list(g.batch_shape)}; give parameters [C] "
+            "or [H, W, C], look textures up with tb.nn.Texture, or shade many materials: torch.vmap(lambda b: tb.shade(g, b, lights))(bsdf)"
         )
     counts = {"bsdf": bsdf.channels, **{f"lights[{k}]": light.channels for k, light in enumerate(lights)}}
-    if len(set(counts.values()) - {1}) > 1:
-        raise ValueError(f"bsdf and lights have different numbers of colour channels: {counts}; use one C, or 1")
+    arguments.one_count(counts, "bsdf and lights have different numbers of colour channels")
     return max(list(counts.values()))
 
 
