@@ -73,6 +73,7 @@ RIGHT = {
     "one position": (sheet().replace(position=torch.zeros(3), view=4 * UP), tb.Lambert(0.5)),
     "normals of any length": (sheet().replace(normal=3 * sheet().normal), tb.Lambert(0.5)),
     "unit normals of one octant": (sheet().replace(normal=tb.normalize(octant())), tb.Lambert(0.5)),
+    "unit normals that are unit decoded, too": (sheet().replace(normal=tb.normalize(torch.tensor([0.704, 0.704, 0.0918]))), tb.Lambert(0.5)),
     "normals of one octant": (sheet().replace(normal=octant()), tb.Lambert(0.5)),
     "back faces, reflecting": (away(), tb.TwoSided(tb.Lambert(0.5))),
     "some back faces": (sheet().replace(normal=torch.where(torch.eye(6).bool()[..., None], 1.0, -1.0) * sheet().normal), tb.Lambert(0.5)),

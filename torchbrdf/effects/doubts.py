@@ -29,8 +29,8 @@ def warn(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
                 warnings.warn(f"{name}: {wrong}", stacklevel=4)
     if _faces_away(g, bsdf):
         warnings.warn(
-            f"GBuffer: none of its {int(g.valid.sum())} valid pixels faces the viewer (n . view <= 0), where this material is black; normals "
-            "point outwards and view from the surface to the viewer: turn what is reversed, or take tb.TwoSided(bsdf)",
+            f"GBuffer: none of its {int(g.valid.sum())} valid pixels faces the viewer (n . view <= 0), and this material is black from "
+            "behind; normals point outwards, view from the surface to the viewer: turn what is reversed, or take tb.TwoSided(bsdf)",
             stacklevel=4,
         )
 
@@ -53,7 +53,7 @@ def _of_colour(t: Tensor, spec: Param, points: torch.Size) -> str:
 
 def _faces_away(g: GBuffer, bsdf: Bsdf) -> bool:
     """Whether there are valid pixels, and the model sends light of neither side of any of them to the viewer."""
-    if not orientation.visible(g) or _any_faces(orientation.few(g)) or _any_faces(g):
+    if not orientation.visible(g) or _any_faces(orientation.few(g)):
         return False
     surface = Surface.of(g.detach(), bsdf.is_wide)
     n, lift = surface.viewer.n, surface.viewer.layout.lift
