@@ -256,7 +256,7 @@ CASES = {
     "Material of a word": (lambda: tb.nn.Material("Lambert", albedo=0.5), "Material: expected a model .a class such as tb.Lambert., found 'Lambert'"),
     "Material of a value": (lambda: tb.nn.Material(LAMBERT, albedo=0.5), "Material: expected a model .*found Lambert"),
     "Material without": (lambda: tb.nn.Material(tb.Lambert), r"Material\(Lambert\): missing parameter \['albedo'\]"),
-    "Material with another": (lambda: tb.nn.Material(tb.Lambert, colour=0.5), r"Material\(Lambert\): unknown parameter \['colour'\]; legal are"),
+    "Material with another": (lambda: tb.nn.Material(tb.Lambert, colour=0.5), r"Material\(Lambert\): unknown parameter \['colour'\]; did you mean albedo \(fraction .*\)\? legal are"),
     "Material of None": (lambda: tb.nn.Material(tb.Lambert, albedo=None)(g()), "Lambert.albedo: expected a number, .*found None"),
     "MaterialSum of nothing": (lambda: tb.nn.MaterialSum(), "MaterialSum: expected one material or more"),
     "MaterialSum with a number": (lambda: MATERIAL + 5, "MaterialSum: expected one material or more, found"),

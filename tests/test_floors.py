@@ -20,6 +20,7 @@ FLOORS = {
             "value",
             "loading",
             "registry",
+            "synonyms",
             "arguments",
             "parameters",
             "torch_compat",
