@@ -1,6 +1,7 @@
 """The public names: nothing disappears, and nothing appears by accident."""
 
 import inspect
+import traceback
 
 import pytest
 import torch
@@ -52,9 +53,17 @@ def test_unknown_names_say_what_may_be_meant(name):
 
 
 def test_unknown_names_without_a_guess():
-    for name in ("zzzzzz", "__wrapped__"):
+    for name in ("zzzzzz", "__wrapped__", "_Lambert"):
         with pytest.raises(AttributeError, match=f"^module 'torchbrdf' has no attribute '{name}'$"):
             getattr(tb, name)
+
+
+def test_a_traceback_guesses_once():
+    try:
+        _ = tb.BlinnPong
+    except AttributeError as error:
+        shown = "".join(traceback.format_exception(error))
+    assert shown.count("BlinnPhong") == 1
 
 
 def test_every_name_that_a_hint_gives_is_there():

@@ -50,7 +50,7 @@ def __getattr__(name: str) -> Any:
     elif name in _NAMES:
         found = getattr(importlib.import_module(f"{__name__}.{_NAMES[name]}"), name)
     else:
-        raise AttributeError(UnknownName(name, __all__, _MODULES, __name__))
+        raise AttributeError(UnknownName(name, __all__, _MODULES, __name__), name=name, obj=None)  # no second guess by Python
     globals()[name] = found
     return found
 
