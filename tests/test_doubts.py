@@ -47,7 +47,9 @@ def test_one_warning(case):
     g, bsdf, lights, message = DOUBTS[case]
     with pytest.warns(UserWarning, match=message) as seen:
         tb.plan(g, bsdf, lights)
-    assert len(seen) == 1
+    with pytest.warns(UserWarning, match=message) as again:
+        tb.shade(g, bsdf, lights)
+    assert [w.filename for w in (*seen, *again)] == [__file__] * 2
     assert "\n" not in str(seen[0].message)
 
 

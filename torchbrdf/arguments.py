@@ -3,6 +3,8 @@
 Only kinds, dtypes and shapes are looked at, never values: these checks run inside graphs and transforms.
 """
 
+import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -85,6 +87,14 @@ def _is_wrapped(t: Tensor) -> bool:
     except (NotImplementedError, RuntimeError):
         return True
     return False
+
+
+def warn(message: str) -> None:
+    """A warning that points to the first line outside of this package (and of torch's decorators)."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (__package__, "torch"):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, stacklevel=level)
 
 
 def placement(

@@ -1,6 +1,5 @@
 """What is legal in a scene and nearly always meant otherwise: warned of where a plan is made and values can be seen."""
 
-import warnings
 from collections.abc import Iterator, Sequence
 
 import torch
@@ -26,12 +25,11 @@ def warn(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
         for name, t, spec in _colours(held):
             wrong = "" if arguments.hidden(t) else _of_colour(t, spec, g.batch_shape)
             if wrong:
-                warnings.warn(f"{name}: {wrong}", stacklevel=4)
+                arguments.warn(f"{name}: {wrong}")
     if _faces_away(g, bsdf):
-        warnings.warn(
+        arguments.warn(
             f"GBuffer: none of its {int(g.valid.sum())} valid pixels faces the viewer (n . view <= 0), and this material is black from "
-            "behind; normals point outwards, view from the surface to the viewer: turn what is reversed, or take tb.TwoSided(bsdf)",
-            stacklevel=4,
+            "behind; normals point outwards, view from the surface to the viewer: turn what is reversed, or take tb.TwoSided(bsdf)"
         )
 
 

@@ -5,7 +5,6 @@ grid of pixels first; only what looks wrong there is looked at in full.
 """
 
 import math
-import warnings
 
 import torch
 from torch import Tensor
@@ -32,7 +31,7 @@ def check(g: GBuffer) -> None:
             return
     if error or not flat:
         raise ValueError(error or doubt)
-    warnings.warn(doubt, stacklevel=4)  # one normal for all may have been meant as it is
+    arguments.warn(doubt)  # one normal for all may have been meant as it is
 
 
 def visible(g: GBuffer) -> bool:
