@@ -47,9 +47,8 @@ class Bsdf(Value):
         """As every value; and what it holds (Fresnel terms, other models) must have the same channels, or 1."""
         super().check_shapes()
         held = [v for v in self.nested() if isinstance(v, (Bsdf, Fresnel))]
-        counts = [("own parameters", self.own_channels), *((type(v).__name__, v.channels) for v in held)]
-        if len({c for _, c in counts} - {1}) > 1:
-            raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
+        counts = {"own parameters": self.own_channels, **{f"{k} {type(v).__name__}": v.channels for k, v in enumerate(held)}}
+        arguments.one_count(counts, f"{type(self).__name__}: different numbers of colour channels")
 
     # What a model says of itself ---------------------------------------------------------------------------------------
 

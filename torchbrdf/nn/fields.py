@@ -48,6 +48,8 @@ class Stored(Field):
                 f"{kind}: expected a start, found a tensor that requires a gradient, which a copy of it could not give; "
                 "pass x.detach(), or give x itself to tb.nn.Material (a texture by tb.bilinear)"
             )
+        if start.dtype == torch.uint8:
+            raise TypeError(f"{type(self).__name__}: found torch.uint8; {arguments.as_floats(start.dtype)}")
         if not start.numel() or start.is_complex():
             raise ValueError(f"{type(self).__name__}: expected real numbers, one at least, found {start.dtype} {list(start.shape)}")
         keeps = isinstance(init, Tensor) and init.is_floating_point()  # numbers, lists and arrays take torch's default dtype

@@ -37,6 +37,12 @@ class GBuffer(Value):
     material: Tensor | None = param(INDEX, SCALAR, "material id, 0 where there is no surface", default=None, kind="int")
     handedness: Tensor | None = param(SIGN, SCALAR, "1, or -1 where v grows against n x tangent (mirrored uv); 0: none", default=None)
 
+    def check(self) -> None:
+        """Views are no camera's position, normals no normal map that was not decoded (:mod:`~torchbrdf.scene.orientation`)."""
+        from .orientation import check
+
+        check(self)
+
     @staticmethod
     def from_mesh(mesh: Mesh, camera: Camera) -> "GBuffer":
         """What ``camera`` sees of ``mesh`` through its pixel centres, ``[..., H, W]``, in the dtype and on the device of the vertices.
