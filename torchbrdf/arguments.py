@@ -75,7 +75,7 @@ def one_count(counts: Mapping[str, int], what: str) -> None:
         raise ValueError(f"{what}: {dict(counts)}; use one C, or 1{alpha}{first}")
 
 
-def hidden(*tensors: Tensor) -> bool:
+def values_hidden(*tensors: Tensor) -> bool:
     """Whether values cannot be looked at: in graphs, in transforms that have wrapped them, on the meta device."""
     return torch.compiler.is_compiling() or any(t.is_meta or _is_wrapped(t) for t in tensors)
 

@@ -177,7 +177,7 @@ def _tensors_in(held: Any, path: str) -> Iterator[tuple[str, Tensor]]:
 
 def _brief(v: Any) -> str:
     if isinstance(v, Tensor):
-        small = v.numel() <= 4 and v.dim() == 1 and not arguments.hidden(v)
+        small = v.numel() <= 4 and v.dim() == 1 and not arguments.values_hidden(v)
         kind = str(v.dtype).removeprefix("torch.")
         return str([round(x, 6) for x in v.tolist()]) if small else f"{kind}{list(v.shape)}"
     return f"({', '.join(map(_brief, v))})" if isinstance(v, tuple) else repr(v)
@@ -250,7 +250,7 @@ def validate(v: Value, _path: str = "") -> None:
     path = _path or type(v).__name__
     v.check()
     for name, tensor, spec in v.own_tensors():
-        if tensor.numel() and spec.kind == "float" and not arguments.hidden(tensor):
+        if tensor.numel() and spec.kind == "float" and not arguments.values_hidden(tensor):
             wrong = spec.constraint.complaint(tensor.detach())
             if wrong:
                 raise ValueError(f"{path}.{name} {list(tensor.shape)}: {wrong}; {spec.constraint.remedy}")

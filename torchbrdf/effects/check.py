@@ -100,7 +100,7 @@ def check_visibility(shadows: Tensor, lights: Sequence[Light], g: GBuffer) -> Te
 
 def check_visible_share(shadows: Tensor) -> None:
     """Visibility is the share of a light that arrives. Looks at values: not for graphs or transforms."""
-    if arguments.hidden(shadows) or not shadows.numel() or shadows.dtype == torch.bool or shadows.is_complex():
+    if arguments.values_hidden(shadows) or not shadows.numel() or shadows.dtype == torch.bool or shadows.is_complex():
         return
     low, high = (float(x) for x in torch.aminmax(shadows.detach()))
     if not (low >= 0 and high <= 1):

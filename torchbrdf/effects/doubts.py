@@ -23,7 +23,7 @@ def warn(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
     """Look for colours with an alpha channel, for one number a point read as channels, and for surfaces that all face away."""
     for held in (bsdf, *lights):
         for name, t, spec in _colours(held):
-            wrong = "" if arguments.hidden(t) else _of_colour(t, spec, g.batch_shape)
+            wrong = "" if arguments.values_hidden(t) else _of_colour(t, spec, g.batch_shape)
             if wrong:
                 arguments.warn(f"{name}: {wrong}")
     if _faces_away(g, bsdf):
@@ -51,7 +51,7 @@ def _of_colour(t: Tensor, spec: Param, points: torch.Size) -> str:
 
 def _faces_away(g: GBuffer, bsdf: Bsdf) -> bool:
     """Whether there are valid pixels, and the model sends light of neither side of any of them to the viewer."""
-    if not orientation.visible(g) or _any_faces(orientation.few(g)):
+    if not orientation.has_values(g) or _any_faces(orientation.few(g)):
         return False
     surface = Surface.of(g.detach(), bsdf.is_wide)
     n, lift = surface.viewer.n, surface.viewer.layout.lift

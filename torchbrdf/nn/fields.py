@@ -143,7 +143,7 @@ class PerMaterial(Stored):
 
     def _check_ids(self, ids: Tensor) -> None:
         """Where values can be looked at; elsewhere an id beyond the table ends in an index error of torch."""
-        if not arguments.hidden(ids) and ids.numel() and int(ids.amax()) >= self.raw.shape[0]:
+        if not arguments.values_hidden(ids) and ids.numel() and int(ids.amax()) >= self.raw.shape[0]:
             rows = self.raw.shape[0]
             raise ValueError(f"PerMaterial.table: {rows} rows serve the ids 0 to {rows - 1}, found id {int(ids.amax())}; give it more rows")
 

@@ -75,8 +75,8 @@ class GBuffer(Value):
         arguments.of_kind(mesh, "mesh", Mesh, "tb.load_mesh(path)")
         surface = origin if isinstance(origin, GBuffer) else None
         points = origin if surface is None else surface.position.expand(*surface.batch_shape, 3)
-        points = _visible(arguments.floats(points, "origin", 3), "origin")
-        o, d = usable_rays(mesh, points, _visible(arguments.floats(direction, "direction", 3), "direction"))
+        points = _with_values(arguments.floats(points, "origin", 3), "origin")
+        o, d = usable_rays(mesh, points, _with_values(arguments.floats(direction, "direction", 3), "direction"))
         return GBuffer(**ray_fields(mesh, *((o, d) if surface is None else leave(surface, mesh, o, d))))
 
     @staticmethod
@@ -134,12 +134,12 @@ class GBuffer(Value):
 def _check_camera(camera: Any) -> None:
     """Ranges are looked at where values can be seen: not in graphs."""
     arguments.of_kind(camera, "camera", Camera, "tb.Camera.look_at(eye, target, up)")
-    tensors = [_visible(t, "camera") for _, t, _ in camera.own_tensors()]
-    if not arguments.hidden(*tensors):
+    tensors = [_with_values(t, "camera") for _, t, _ in camera.own_tensors()]
+    if not arguments.values_hidden(*tensors):
         validate(camera)
 
 
-def _visible(t: Tensor, name: str) -> Tensor:
+def _with_values(t: Tensor, name: str) -> Tensor:
     """A tensor that has values: rays are cast from there."""
     if t.is_meta:
         raise TypeError(f"{name}: on the meta device, where there are no values; move it with .to(...)")

@@ -21,7 +21,7 @@ MOST = 0.9  # of the pixels: the rest may be background, or the border of anothe
 @torch.no_grad()
 def check(g: GBuffer) -> None:
     """Raise ``ValueError`` if ``view`` is a camera's position, or ``normal`` a normal map that was not decoded."""
-    if not visible(g):
+    if not has_values(g):
         return
     for looked_at in (few(g), g):  # what the thin grid shows must hold on all pixels
         valid = looked_at.valid.expand(*looked_at.batch_shape, 1).squeeze(-1)
@@ -34,9 +34,9 @@ def check(g: GBuffer) -> None:
     arguments.warn(doubt)  # one normal for all may have been meant as it is
 
 
-def visible(g: GBuffer) -> bool:
+def has_values(g: GBuffer) -> bool:
     """Whether there are pixels, with values that can be looked at."""
-    return bool(g.batch_shape.numel()) and not arguments.hidden(*(t for _, t, _ in g.own_tensors()))
+    return bool(g.batch_shape.numel()) and not arguments.values_hidden(*(t for _, t, _ in g.own_tensors()))
 
 
 def few(g: GBuffer) -> GBuffer:
