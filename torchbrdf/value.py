@@ -29,6 +29,21 @@ def has_tensors(x: Any) -> bool:
     return isinstance(x, (Tensor, Value)) or (isinstance(x, (tuple, list)) and any(has_tensors(v) for v in x))
 
 
+def once(compute: Callable[[Any], T]) -> Any:
+    """A property of kinds and shapes, found once: values are frozen. Inside graphs, where it costs nothing, it is found anew."""
+    name = f"_{compute.__name__}"
+
+    def get(self: Any) -> T:
+        if torch.compiler.is_compiling():
+            return compute(self)
+        if name not in self.__dict__:
+            object.__setattr__(self, name, compute(self))
+        found: T = self.__dict__[name]
+        return found
+
+    return property(get, doc=compute.__doc__)
+
+
 class Value:
     """Base of everything made with :func:`value`: everyday handling of a frozen bundle of tensors."""
 
@@ -79,7 +94,7 @@ class Value:
             if isinstance(getattr(self, name), Tensor):
                 yield name, getattr(self, name), spec
 
-    @property
+    @once
     def own_channels(self) -> int:
         """C of the value's own colours, nested ones apart; 1 if it has none."""
         return max([1, *(t.shape[-1] for _, t, s in self.own_tensors() if s.is_colour)])
@@ -89,7 +104,7 @@ class Value:
         for held in [getattr(self, name) for name in self._fields]:
             yield from (v for v in (held if isinstance(held, (tuple, list)) else (held,)) if isinstance(v, Value))
 
-    @property
+    @once
     def batch_shape(self) -> torch.Size:
         """Broadcast shape of all batch axes, those before the shape of one parameter."""
         shapes = {n: s.batch(t) for n, t, s in self.own_tensors()}
