@@ -36,7 +36,9 @@ class Method:
         """The error that is claimed, as a number, and whether it is relative to the value."""
         found = CLAIM.match(self.claim)
         if not found:
-            raise ValueError(f"claim of {self.name!r}: found {self.claim!r}; begin with a number, such as '16 ulp', '2e-5 of the value', '0.07'")
+            raise ValueError(
+                f"claim of {self.name!r}: found {self.claim!r}; begin with a number, such as '16 ulp', '2e-5 of the value', '0.07'"
+            )
         unit = torch.finfo(dtype).eps if found["unit"] == " ulp" else 1.0
         return float(found["number"]) * unit, bool(found["unit"])
 

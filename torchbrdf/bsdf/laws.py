@@ -1,4 +1,4 @@
-"""The lobes of Phong and Blinn, without strength or normalisation, and the ways to compute them (torchbrdf/method.py)."""
+"""The lobes of Phong and Blinn, of strength 1, and the ways to compute them (torchbrdf/method.py)."""
 
 from typing import Any
 
@@ -8,52 +8,66 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..method import Law, Method
-from .blinn_phong import BlinnPhong, half_vector_power
-from .phong import Phong
+from .blinn_phong import BlinnPhong, normal_view_factor
+from .phong import NORMALIZATIONS, Phong
 
 EXPONENTS, DIMMEST, GRAZING = (1.0, 200.0), 1e-3, 0.05  # everyday: the lobe over its peak, and the cosines of both directions
 WHERE = "where the lobe is above 1e-3 of its peak, exponents up to 200"
 
 
-def phong(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor, assume_unit: bool = False) -> Tensor:
-    """``max(0, wi.R(wo))^s`` as the model computes it."""
-    return _phong(s).evaluate(wi, wo, n, assume_unit=assume_unit)
+def phong(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor) -> Tensor:
+    """``N(s) max(0, wi.R(wo))^s`` as the model computes it."""
+    return _phong(s).evaluate(wi, wo, n)
+
+
+def phong_unit(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor) -> Tensor:
+    """The same of directions that are not normalised again."""
+    return _phong(s).evaluate(wi, wo, n, assume_unit=True)
 
 
 def phong_pow(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor) -> Tensor:
     """The same complement of the cosine, and torch's ``pow``."""
-    return _above(1.0 - _phong(s).geometry(wi, wo, n).mirror_complement) ** s
+    return _modified(s) * _above(1.0 - _phong(s).geometry(wi, wo, n).mirror_complement) ** s
 
 
 def phong_dot(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor) -> Tensor:
     """As pasted: a dot product to the power of s."""
     wi, wo, n = (functional.normalize(w, dim=-1) for w in (wi, wo, n))
     mirror = 2.0 * _dot(n, wo).unsqueeze(-1) * n - wo
-    return _above(_dot(wi, mirror)) ** s
+    return _modified(s) * _above(_dot(wi, mirror)) ** s
 
 
-def blinn(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor, assume_unit: bool = False) -> Tensor:
-    """``(n.h)^s`` as the model computes it."""
-    return half_vector_power(_blinn(s).geometry(wi, wo, n, assume_unit=assume_unit), s)
+def blinn(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor) -> Tensor:
+    """``N(s) (n.h)^s`` as the model computes it."""
+    return _blinn(s).evaluate(wi, wo, n)
+
+
+def blinn_unit(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor) -> Tensor:
+    """The same of directions that are not normalised again."""
+    return _blinn(s).evaluate(wi, wo, n, assume_unit=True)
 
 
 def blinn_pow(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor) -> Tensor:
     """The same half vector, and torch's ``pow``."""
-    return _blinn(s).geometry(wi, wo, n).cos_h ** s
+    return normal_view_factor(s) * _blinn(s).geometry(wi, wo, n).cos_h ** s
 
 
 def blinn_dot(wi: Tensor, wo: Tensor, n: Tensor, s: Tensor) -> Tensor:
     """As pasted: normalise everything, a dot product to the power of s."""
     wi, wo, n = (functional.normalize(w, dim=-1) for w in (wi, wo, n))
-    return _above(_dot(n, functional.normalize(wi + wo, dim=-1))) ** s
+    return normal_view_factor(s) * _above(_dot(n, functional.normalize(wi + wo, dim=-1))) ** s
 
 
 def _phong(s: Tensor) -> Phong:
-    return Phong(torch.ones_like(s[:1]), s.unsqueeze(-1), normalization="none")
+    return Phong(torch.ones_like(s[:1]), s.unsqueeze(-1))
 
 
 def _blinn(s: Tensor) -> BlinnPhong:
     return BlinnPhong(torch.ones_like(s[:1]), s.unsqueeze(-1))
+
+
+def _modified(s: Tensor) -> Tensor:
+    return NORMALIZATIONS["modified"](s)
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:
@@ -104,12 +118,12 @@ LAWS = (
     Law(
         "phong_lobe",
         {"exponent": EXPONENTS},
-        lambda m, p, s: Phong.textbook(m, p, 1, s, lambda cos: 1, "none"),
+        lambda m, p, s: Phong.textbook(m, p, 1, s, lambda cos: 1, "modified"),
         (
             Method("log1p", phong, "tb.Phong(k, s)", "this package", f"1e-4 of the value {WHERE}"),
             Method(
                 "assume_unit",
-                lambda *x: phong(*x, assume_unit=True),
+                phong_unit,
                 "tb.Phong(k, s).evaluate(wi, wo, n, assume_unit=True)",
                 "this package; directions are not normalised",
                 f"1e-4 of the value {WHERE}",
@@ -123,18 +137,24 @@ LAWS = (
     Law(
         "blinn_lobe",
         {"exponent": EXPONENTS},
-        lambda m, p, s: m.power(p.cos2_h, s / 2),
+        lambda m, p, s: BlinnPhong.textbook(m, p, 1, s, lambda cos: 1),
         (
             Method("log1p", blinn, "tb.BlinnPhong(k, s)", "this package", f"2e-5 of the value {WHERE}"),
             Method(
                 "assume_unit",
-                lambda *x: blinn(*x, assume_unit=True),
+                blinn_unit,
                 "tb.BlinnPhong(k, s).evaluate(wi, wo, n, assume_unit=True)",
                 "this package; directions are not normalised",
                 f"2e-5 of the value {WHERE}",
             ),
             Method("pow", blinn_pow, "cos_h ** s", "torch's pow", f"1e-4 of the value {WHERE}"),
-            Method("dot and pow", blinn_dot, "(n . normalize(wi + wo)).clamp_min(0) ** s", "Blinn 1977, as pasted", f"1e-4 of the value {WHERE}"),
+            Method(
+                "dot and pow",
+                blinn_dot,
+                "(n . normalize(wi + wo)).clamp_min(0) ** s",
+                "Blinn 1977, as pasted",
+                f"1e-4 of the value {WHERE}",
+            ),
         ),
         ("wi", "wo", "n"),
         lambda rng, count: draw(rng, count, about_half=True),

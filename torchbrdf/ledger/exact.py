@@ -108,7 +108,7 @@ def plain(x: Any) -> np.ndarray:
     return plain(x.value) if isinstance(x, Dual) else x
 
 
-def where(mask: Any, a: Number, b: Number) -> Any:
+def where(mask: Any, a: Any, b: Any) -> Any:
     """``a`` where the mask holds, else ``b``, with the derivatives of the one chosen."""
     level = max((x.level for x in (a, b) if isinstance(x, Dual)), default=None)
     if level is None:
