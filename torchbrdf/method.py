@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 Ranges = Mapping[str, tuple[float, float]]
+Draw = Callable[[Any, int], dict[str, Any]]  # (numpy generator, count) -> points by the name of the input, float64
 CLAIM = re.compile(r"(?P<number>[0-9.]+(e-?[0-9]+)?)(?P<unit> ulp| of the value)?\b")
 
 
@@ -57,8 +58,8 @@ class Law:
     textbook: Callable[..., Any]
     methods: tuple[Method, ...]
     vectors: tuple[str, ...] = ()  # of directions, ("wi", "wo", "n")
-    draw: Callable[[Any, int], dict[str, Any]] | None = None  # (numpy generator, count) -> everyday points by name, float64
-    hard: Ranges | None = None  # where methods lose digits: errors are measured there, too, and nothing is claimed
+    draw: Draw | None = None  # everyday points
+    hard: Draw | None = None  # points where methods lose digits: errors are measured there, too, and nothing is claimed
     hard_where: str = ""  # in words
 
     def __getitem__(self, name: str) -> Method:

@@ -131,7 +131,7 @@ def _slopes(found: Results, truth: Truth) -> tuple[list[np.ndarray], list[np.nda
 
 def _distance(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """|found - exact| of numbers, or the length of that of directions; infinite where it is not finite."""
-    with gmpy2.local_context(gmpy2.get_context(), precision=BITS):
+    with gmpy2.context(gmpy2.get_context(), precision=BITS), np.errstate(invalid="ignore"):
         difference = (found - exact).astype(np.float64)
     return np.nan_to_num(_length(difference), nan=np.inf)
 
@@ -142,7 +142,8 @@ def _length(x: np.ndarray) -> np.ndarray:
 
 def _quotient(error: np.ndarray, size: np.ndarray) -> np.ndarray:
     """0 where there is no error."""
-    return np.divide(error, size, out=np.where(error > 0, np.inf, 0.0), where=(size > 0) & (error > 0))
+    with np.errstate(over="ignore"):
+        return np.divide(error, size, out=np.where(error > 0, np.inf, 0.0), where=(size > 0) & (error > 0))
 
 
 def _share(found: np.ndarray, exact: np.ndarray) -> float:

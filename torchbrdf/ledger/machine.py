@@ -70,5 +70,5 @@ def missing() -> str:
     """What has to be installed, in one line; empty if nothing."""
     from importlib.util import find_spec
 
-    absent = [name for name in NEEDED if find_spec(name) is None]
+    absent = [name for name in NEEDED if sys.modules.get(name, name) is None or find_spec(name) is None]
     return f"the ledger needs {', '.join(absent)}, not found here; install with: pip install 'torchbrdf[bench]'" if absent else ""

@@ -52,7 +52,8 @@ def _measured_on(machine: dict[str, Any]) -> str:
     threads = f"{machine['threads']} thread{'s' if machine['threads'] > 1 else ''} of {machine['cores']}"
     return (
         f"Measured on: {machine['device']} ({machine['vector instructions']}), {threads}, load {machine['load']} when the run began; "
-        f"{versions}; commit {machine['commit'] or 'unknown'}; {machine['pixels']} pixels, {machine['rounds']} rounds, {machine['points']} points."
+        f"{versions}; commit {machine['commit'] or 'unknown'}; "
+        f"{machine['pixels']} pixels, {machine['rounds']} rounds, {machine['points']} points."
     )
 
 

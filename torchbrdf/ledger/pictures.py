@@ -1,5 +1,6 @@
 """Pictures of what was measured: error against time with the Pareto front, and what an approximation looks like."""
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from .record import Record
 from .rows import COMPILED, EAGER, WITHOUT
 
 MARKERS = {EAGER: "o", COMPILED: "s", WITHOUT: "^"}
-BALL = {"dielectric": {"eta": (1.5, 1.5, 1.5)}}  # inputs of the picture of a law, red, green, blue; else the middle of its everyday ranges
+SHOWN = {"dielectric": {"eta": (1.5, 1.5, 1.5)}}  # inputs of the picture of a law, red, green, blue; else the middle of its everyday ranges
 SIDE = 160  # pixels
+SCALE = 0.1  # of false colours, either way
 
 
 def draw(found: Record, laws: dict[str, Law], folder: Path) -> dict[str, list[str]]:
@@ -73,38 +75,39 @@ def _label(row: dict[str, Any]) -> str:
 
 
 def _strip(law: Law) -> Any:
-    """A ball that mirrors a white sky: at every pixel the reflectance at n.wo. Below each method, its difference from the default."""
+    """Reflectance over all angles of incidence, from 0 in the middle to 90 degrees at the rim; below, the difference from the default."""
     from matplotlib.figure import Figure
 
-    cos = _ball()
+    cos = _disc()
     truth = _reflectance(law, law.default.formula, cos)
     shown = [m for m in law.methods if m is law.default or not m.exact]
-    errors = [_reflectance(law, m.formula, cos) - truth for m in shown]
-    largest = max(float(np.nanmax(np.abs(e))) for e in errors)
     figure = Figure(figsize=(1.9 * len(shown) + 0.9, 4.0), layout="constrained")
     panels = figure.subplots(2, len(shown), squeeze=False)
-    for k, (method, error) in enumerate(zip(shown, errors, strict=True)):
-        panels[0, k].imshow(np.nan_to_num(np.clip(truth + error, 0.0, 1.0), nan=1.0) ** (1 / 2.2))
-        worst = np.take_along_axis(error, np.abs(np.nan_to_num(error)).argmax(-1)[..., None], -1)[..., 0]
-        image = panels[1, k].imshow(worst, cmap="RdBu_r", vmin=-largest, vmax=largest)
-        panels[0, k].set_title(method.name, fontsize="small")
-        panels[1, k].set_title(f"at most {np.nanmax(np.abs(error)):.2g}", fontsize="small")
+    for above, below, method in zip(*panels, shown, strict=True):
+        error = _reflectance(law, method.formula, cos) - truth
+        above.imshow(np.clip(np.nan_to_num(truth + error, nan=1.0), 0.0, 1.0) ** (1 / 2.2))
+        above.set_title(method.name, fontsize="small")
+        if method is not law.default:
+            worst = np.take_along_axis(error, np.abs(np.nan_to_num(error)).argmax(-1)[..., None], -1)[..., 0]
+            image = below.imshow(worst, cmap="RdBu_r", vmin=-SCALE, vmax=SCALE)
+            below.set_title(f"at most {np.nanmax(np.abs(error)):.2g}", fontsize="small")
     for panel in panels.ravel():
         panel.axis("off")
-    figure.colorbar(image, ax=panels[1, :].tolist(), label=f"less {law.default.name}", shrink=0.8)
+    figure.colorbar(image, ax=panels[1, :].tolist(), label=f"less {law.default.name}", shrink=0.8, extend="both")
     return figure
 
 
-def _ball() -> torch.Tensor:
-    """n.wo of a ball seen from afar, ``[S, S]``; NaN beside it."""
+def _disc() -> torch.Tensor:
+    """Cosines ``[S, S]`` of angles that grow evenly with the distance from the middle; NaN beyond 90 degrees."""
     axis = (torch.arange(SIDE, dtype=torch.float64) + 0.5) * (2.0 / SIDE) - 1.0
-    return torch.sqrt(1.0 - axis * axis - axis[:, None] ** 2)
+    radius = torch.sqrt(axis * axis + axis[:, None] ** 2)
+    return torch.where(radius < 1.0, torch.cos(radius * (math.pi / 2)), torch.nan)
 
 
 def _reflectance(law: Law, formula: Any, cos: torch.Tensor) -> np.ndarray:
     """``[S, S, 3]``"""
     middle = {name: ((low + high) / 2,) * 3 for name, (low, high) in law.inputs.items()}
-    colours = middle | BALL.get(law.name, {}) | _metal(law)
+    colours = middle | SHOWN.get(law.name, {}) | _metal(law)
     inputs = [cos.nan_to_num(0.5) if name == "cos_i" else torch.tensor(colours[name], dtype=torch.float64) for name in law.inputs]
     found = [formula(*(x if x.dim() > 1 else x[k].expand_as(cos) for x in inputs)) for k in range(3)]
     return torch.stack([torch.where(cos.isnan(), torch.nan, f) for f in found], -1).numpy()

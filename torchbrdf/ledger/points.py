@@ -22,7 +22,7 @@ def everyday(law: Law, dtype: torch.dtype, count: int) -> Points:
 
 def hard(law: Law, dtype: torch.dtype, count: int) -> Points | None:
     """Points where methods lose digits, if the law says where."""
-    return None if law.hard is None else rounded(spread(_generator(law), law.hard, count), dtype)
+    return None if law.hard is None else rounded(law.hard(_generator(law), count), dtype)
 
 
 def pixels(law: Law, dtype: torch.dtype) -> dict[str, Points]:

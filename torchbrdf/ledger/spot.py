@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 FILE = Path(__file__).with_name("spot.json")
-COUNT, DIGITS = 500, 4
+COUNT, DIGITS = 500, 6
 SOURCE = "Spot, Keenan Crane's 3D Model Repository, CC0 1.0: lit pixels drawn evenly from the view and the four lights of tests/data/spot"
 
 

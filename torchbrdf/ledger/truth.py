@@ -22,7 +22,7 @@ class Truth(NamedTuple):
 
 def truth(law: Law, points: Points) -> Truth:
     """At every point."""
-    with gmpy2.local_context(gmpy2.get_context(), precision=BITS):
+    with gmpy2.context(gmpy2.get_context(), precision=BITS):
         columns = np.concatenate([x.reshape(len(x), -1) for x in points.values()], 1)
         found = law.textbook(exact.Exact(), *_arguments(law, exact.inputs(columns)))
         zero = np.full(len(columns), gmpy2.mpfr(0), dtype=object)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -43,6 +44,13 @@ def constant(cos: Tensor, f0: Tensor) -> Tensor:
     return torch.broadcast_tensors(f0, cos)[0]
 
 
+def critical_angle(rng: Any, count: int) -> dict[str, Any]:
+    """Cosines about that of the critical angle, from inside the denser medium."""
+    eta = rng.uniform(0.4, 0.99, count)
+    away = np.exp(rng.uniform(np.log(1e-7), np.log(0.1), count)) * rng.choice([-1.0, 1.0], count)
+    return {"cos_i": np.sqrt((1.0 - eta) * (1.0 + eta)) * (1.0 + away), "eta": eta}
+
+
 LAWS = (
     Law(
         "dielectric",
@@ -67,8 +75,8 @@ LAWS = (
                 exact=False,
             ),
         ),
-        hard={"cos_i": (0.0, 1.0), "eta": (0.4, 0.99)},
-        hard_where="from inside the denser medium, total reflection and its critical angle included",
+        hard=critical_angle,
+        hard_where="about the critical angle, from 1e-7 to 0.1 of its cosine",
     ),
     Law(
         "conductor",
@@ -93,7 +101,7 @@ LAWS = (
                 exact=False,
             ),
         ),
-        hard={"cos_i": (0.0, 1.0), "eta": (0.4, 0.99), "k": (1e-6, 1e-2)},
-        hard_where="nearly a dielectric, from inside the denser medium, its critical angle included",
+        hard=lambda rng, count: critical_angle(rng, count) | {"k": np.exp(rng.uniform(np.log(1e-6), np.log(0.1), count))},
+        hard_where="k from 1e-6 to 0.1, about the critical angle, from 1e-7 to 0.1 of its cosine",
     ),
 )
