@@ -156,7 +156,7 @@ def test_the_whole_run(tmp_path, monkeypatch, capsys):
     assert main(asked) == 0
     found = json.loads((tmp_path / "accuracy-cost.json").read_text())
     assert list(found["laws"]) == ["dielectric"]
-    assert {"device", "versions", "commit", "threads"} <= found["machine"].keys()
+    assert {"device", "versions", "commit", "threads"} <= found["laws"]["dielectric"]["machine"].keys()
     (row, *_) = found["laws"]["dielectric"]["rows"]
     assert row["costs"]["both"]["low"] <= row["costs"]["both"]["median"] <= row["costs"]["both"]["high"]
     assert row["costs"]["kept"] > 4, "the graph holds intermediate tensors"
@@ -168,6 +168,16 @@ def test_the_whole_run(tmp_path, monkeypatch, capsys):
         "ledger.png",
     ]
     assert "Measured on" in capsys.readouterr().out
+
+
+def test_a_law_measured_again_leaves_the_others(tmp_path, capsys):
+    for law in ("dielectric", "conductor"):
+        assert main(["--only-errors", "--laws", law, "--points", "20" if law == "conductor" else "30", "--out", str(tmp_path)]) == 0
+    found = record.read(tmp_path / "accuracy-cost.json")["laws"]
+    assert {name: law["machine"]["points"] for name, law in found.items()} == {"dielectric": 30, "conductor": 20}
+    text = (tmp_path / "accuracy-cost.md").read_text(encoding="utf-8")
+    assert "30 points" in text
+    assert "20 points" in text
 
 
 def test_a_claim_that_is_not_kept_fails_the_run(monkeypatch, capsys):

@@ -12,8 +12,10 @@ CHECKOUT = Path(__file__).resolve().parents[2] / "docs"
 def options(arguments: list[str] | None = None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m torchbrdf.ledger", description="What accuracy costs, law by law.")
-    parser.add_argument("--laws", nargs="+", default=[], metavar="LAW", help="these alone; then nothing is written unless --out says where")
-    parser.add_argument("--only-errors", action="store_true", help="no times; nothing is written unless --out says where")
+    parser.add_argument(
+        "--laws", nargs="+", default=[], metavar="LAW", help="these alone, the others stay as they are; written to --out alone"
+    )
+    parser.add_argument("--only-errors", action="store_true", help="no times; written to --out alone")
     parser.add_argument("--points", type=int, default=4000, help="at which errors are measured")
     parser.add_argument("--pixels", type=int, default=2**18, help="that are timed at once")
     parser.add_argument("--rounds", type=int, default=15, help="of timing, in which all methods of a law take turns")

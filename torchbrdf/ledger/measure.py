@@ -1,7 +1,6 @@
 """Measure the laws that were asked for, one after the other."""
 
 import argparse
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,10 @@ def everything(asked: argparse.Namespace, out: Path | None) -> int:
 
     laws = chosen(asked.laws)
     torch.set_num_threads(asked.threads)
-    started, rows = time.perf_counter(), {name: rows_of(law, compiled=not asked.only_errors) for name, law in laws.items()}
+    rows = {name: rows_of(law, compiled=not asked.only_errors) for name, law in laws.items()}
     total = sum(len(r) + (0 if asked.only_errors else steps(r, asked.rounds)) for r in rows.values())
-    found: Record = {"machine": machine.said(asked.threads, asked.pixels, asked.rounds, asked.points), "laws": {}}
+    on = machine.said(asked.threads, asked.pixels, asked.rounds, asked.points)
+    found: Record = {"laws": {}}
     wrong: list[str] = []
     with tqdm(total=total, unit="step") as bar:
 
@@ -34,12 +34,12 @@ def everything(asked: argparse.Namespace, out: Path | None) -> int:
             bar.update()
 
         for name, law in laws.items():
-            found["laws"][name], of_law = one(law, rows[name], asked, say)
+            measured, of_law = one(law, rows[name], asked, say)
+            found["laws"][name] = {"machine": on, **measured}
             wrong += of_law
-    found["machine"]["seconds"] = round(time.perf_counter() - started)
     print(page.text(found))
     if out is not None:
-        publish(found, laws, out)
+        publish(found, out)
     for line in wrong:
         print(f"not as claimed: {line}")
     return 1 if wrong else 0
@@ -72,12 +72,15 @@ def one(law: Law, rows: list[Row], asked: argparse.Namespace, say: Callable[[str
     return record.of_law(law, rows, errors, prices), wrong
 
 
-def publish(found: Record, laws: dict[str, Law], out: Path) -> None:
-    """The page, the JSON beside it, and the pictures in ``images``."""
+def publish(found: Record, out: Path) -> None:
+    """The page, the JSON beside it, and the pictures in ``images``; laws that were not measured this time stay as they were."""
     from . import pictures
 
     (out / "images").mkdir(parents=True, exist_ok=True)
-    names = pictures.draw(found, laws, out / "images")
-    record.write(found, out / "accuracy-cost.json")
-    (out / "accuracy-cost.md").write_text(page.text(found, names), encoding="utf-8")
-    print(f"written: {out / 'accuracy-cost.md'}, .json and {len(names)} pictures")
+    file, laws = out / "accuracy-cost.json", registry.laws()
+    known = {**(record.read(file)["laws"] if file.exists() else {}), **found["laws"]}
+    whole: Record = {"laws": {name: known[name] for name in laws if name in known}}
+    names = pictures.draw(whole, laws, out / "images")
+    record.write(whole, file)
+    (out / "accuracy-cost.md").write_text(page.text(whole, names), encoding="utf-8")
+    print(f"written: {out / 'accuracy-cost.md'}, .json and {sum(map(len, names.values()))} pictures")

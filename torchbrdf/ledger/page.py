@@ -29,11 +29,18 @@ COSTS = ["method", "dtype", "how", "forward", "both", "forward, ns", "both, ns",
 
 def text(found: Record, pictures: dict[str, list[str]] | None = None) -> str:
     """The whole page; ``pictures`` are names of files in ``images``, by law."""
-    parts = [HEAD.read_text(encoding="utf-8").strip(), _measured_on(found["machine"])]
+    measured = {name: _measured_on(law["machine"]) for name, law in found["laws"].items()}
+    at_once = len(set(measured.values())) == 1
+    parts = [HEAD.read_text(encoding="utf-8").strip(), *list(measured.values())[: int(at_once)]]
     if pictures:
         parts += [_picture(name, "Error against time, all laws") for name in pictures.get("", [])]
     for name, law in found["laws"].items():
-        parts += [f"## {name}", *_law(law), *(_picture(p, f"{name}: {_shows(p)}") for p in (pictures or {}).get(name, []))]
+        parts += [
+            f"## {name}",
+            *([] if at_once else [measured[name]]),
+            *_law(law),
+            *(_picture(p, f"{name}: {_shows(p)}") for p in (pictures or {}).get(name, [])),
+        ]
     return "\n\n".join(parts) + "\n"
 
 
