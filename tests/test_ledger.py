@@ -35,7 +35,7 @@ def test_a_method_keeps_its_claim(law, method, measured):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_faults_are_seen(law, measured):
-    """A value nudged; a slope cut by one input; a value that is not finite."""
+    """A value nudged; a slope cut by one input; a value that is infinite, or not a number."""
     right = LAWS[law].default
 
     def cut(*x):
@@ -44,7 +44,10 @@ def test_faults_are_seen(law, measured):
     def spoilt(*x):
         return right.formula(*x) / (torch.arange(len(x[-1])) != 7)
 
-    for fault in (lambda *x: 1.001 * right.formula(*x), cut, spoilt):
+    def lost(*x):
+        return torch.where(torch.arange(len(x[-1])) == 7, torch.nan, right.formula(*x))
+
+    for fault in (lambda *x: 1.001 * right.formula(*x), cut, spoilt, lost):
         faulty = dataclasses.replace(right, formula=fault)
         assert broken(faulty, measured[law].errors(fault), LAWS[law])
 
