@@ -50,6 +50,7 @@ def test_faults_are_seen(law, measured):
     for fault in (lambda *x: 1.001 * right.formula(*x), cut, spoilt, lost):
         faulty = dataclasses.replace(right, formula=fault)
         assert broken(faulty, measured[law].errors(fault), LAWS[law])
+    assert "value wrong by inf" in broken(faulty, measured[law].errors(lost), LAWS[law])[0]
 
 
 def test_an_approximation_that_claims_too_little_is_seen(measured):
