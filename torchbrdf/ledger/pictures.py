@@ -51,10 +51,10 @@ def _fronts(laws: dict[str, Any], columns: int) -> Any:
 
 
 def _front(axes: Any, name: str, rows: list[dict[str, Any]]) -> None:
-    from matplotlib import colormaps
+    from matplotlib import colormaps, ticker
 
     labels = list(dict.fromkeys(_label(row) for row in rows))
-    colours = {label: colormaps["tab10"](j % 10) for j, label in enumerate(labels)}
+    colours = {label: colormaps["tab20"](2 * j % 20 + j // 10 % 2) for j, label in enumerate(labels)}
     points = [(row["costs"]["both"]["median"], max(float(row["errors"]["value"]["p999"]), 1e-17)) for row in rows]
     axes.step(*zip(*front(points), strict=True), where="post", color="0.6", linewidth=1, zorder=1)
     for row, (time, error) in zip(rows, points, strict=True):
@@ -63,6 +63,9 @@ def _front(axes: Any, name: str, rows: list[dict[str, Any]]) -> None:
         face = "white" if row["how"] == EAGER else colours[_label(row)]
         axes.plot(time, error, MARKERS[row["how"]], color=colours[_label(row)], markerfacecolor=face, markersize=7)
     axes.set(xscale="log", yscale="log", title=name, xlabel="ns a pixel, value and gradients", ylabel="relative error, p99.9")
+    axes.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_locator(ticker.NullLocator())
     shown = [(m, how, "0.3", "white" if how == EAGER else "0.3") for how, m in MARKERS.items()]
     entries = [("o", label, colours[label], colours[label]) for label in labels] + shown
     handles = [axes.plot([], [], m, color=c, markerfacecolor=face, label=words)[0] for m, words, c, face in entries]
@@ -122,12 +125,13 @@ def _metal(law: Law) -> dict[str, tuple[float, ...]]:
 
 
 def _save(figure: Any, file: Path) -> str:
-    """As a small PNG of at most 256 colours; its name."""
+    """As a small PNG; its name. Lines need few colours, false colours all of them."""
     import io
 
     from PIL import Image
 
     drawn = io.BytesIO()
     figure.savefig(drawn, dpi=100)
-    Image.open(drawn).convert("RGB").quantize(256).save(file, optimize=True)
+    image = Image.open(drawn).convert("RGB")
+    (image if "look" in file.name else image.quantize(256)).save(file, optimize=True)
     return file.name
