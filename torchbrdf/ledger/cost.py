@@ -13,7 +13,7 @@ from torch import Tensor
 from ..compiling import compile as compile_as_the_package_does
 from ..method import Law
 from . import points
-from .errors import Errors, Measured, results
+from .errors import Errors, Measured
 from .rows import COMPILED, EAGER, Row
 
 WARM_UP = 2  # rounds that are not counted
@@ -70,8 +70,8 @@ class Contestant:
         torch.autograd.grad(out, self.inputs, self.ones.view_as(out), allow_unused=True)
 
     def errors(self) -> Errors:
-        """At the everyday points, of the call that is timed."""
-        return self.measured.everyday_errors(results(self.call(*self.inputs), self.inputs, self.measured.everyday))
+        """Of the call that is timed."""
+        return self.measured.errors(self.call, self.pixels)
 
     def kept(self) -> float:
         """Bytes a pixel that the graph holds, the inputs apart."""
@@ -104,7 +104,7 @@ def _own(row: Row) -> Callable[..., Tensor]:
 def costs(
     law: Law, rows: list[Row], measured: dict[torch.dtype, Measured], pixels: int, rounds: int, say: Progress
 ) -> list[tuple[Cost, Errors]]:
-    """Of every row, in order, with its errors at the everyday points; ``say`` hears of each step."""
+    """Of every row, in order, with its errors; ``say`` hears of each step."""
     torch.compiler.reset()
     contestants = []
     for row in rows:

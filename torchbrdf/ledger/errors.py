@@ -65,28 +65,26 @@ class Measured:
         self.pixel_truths = {angle: truth(law, x) for angle, x in self.pixels.items()}
         self.hard_truth = None if self.hard is None else truth(law, self.hard)
 
-    def errors(self, formula: Callable[..., Tensor]) -> Errors:
-        """Of a method, everywhere."""
-        found = self.everyday_errors(run(formula, self.everyday, self.dtype))
-        spot = {angle: _share(run(formula, x, self.dtype).values, self.pixel_truths[angle].values) for angle, x in self.pixels.items()}
-        if self.hard is None or self.hard_truth is None:
-            return dataclasses.replace(found, spot=spot)
-        at_edge = run(formula, self.hard, self.dtype)
-        value, slope = (Spread.of(by(at_edge, self.hard_truth)) for by in (relative, of_slopes))
-        return dataclasses.replace(found, spot=spot, hard_value=value, hard_slope=slope)
-
-    def everyday_errors(self, found: Results) -> Errors:
-        """Of results that somebody computed at the everyday points."""
-        return Errors(
+    def errors(self, formula: Callable[..., Tensor], count: int | None = None) -> Errors:
+        """Of a method, everywhere; ``count`` is how many points it is given at once, as :func:`run`."""
+        found = run(formula, self.everyday, self.dtype, count)
+        at_pixels = {angle: run(formula, x, self.dtype, count).values for angle, x in self.pixels.items()}
+        everywhere = Errors(
             Spread.of(relative(found, self.truth)),
             Spread.of(of_slopes(found, self.truth)),
             Spread.of(_distance(found.values, self.truth.values)),
+            {angle: _share(values, self.pixel_truths[angle].values) for angle, values in at_pixels.items()},
         )
+        if self.hard is None or self.hard_truth is None:
+            return everywhere
+        at_edge = run(formula, self.hard, self.dtype, count)
+        value, slope = (Spread.of(by(at_edge, self.hard_truth)) for by in (relative, of_slopes))
+        return dataclasses.replace(everywhere, hard_value=value, hard_slope=slope)
 
 
-def run(formula: Callable[..., Tensor], points: Points, dtype: torch.dtype) -> Results:
-    """A method at some points, eagerly."""
-    inputs = where.tensors(points, dtype)
+def run(formula: Callable[..., Tensor], points: Points, dtype: torch.dtype, count: int | None = None) -> Results:
+    """A method at some points, which are repeated until there are ``count`` of them (a compiled method knows one size)."""
+    inputs = where.tensors(points, dtype, None if count is None else max(count, len(next(iter(points.values())))))
     return results(formula(*inputs), inputs, points)
 
 

@@ -60,6 +60,10 @@ def _front(axes: Any, name: str, rows: list[dict[str, Any]]) -> None:
     for row, (time, error) in zip(rows, points, strict=True):
         c = row["costs"]["both"]
         axes.plot([c["low"], c["high"]], [error, error], color=colours[_label(row)], linewidth=1)
+        if row["errors"]["hard_value"]:
+            axes.plot(
+                [time, time], [error, max(error, float(row["errors"]["hard_value"]["p999"]))], ":_", color=colours[_label(row)], linewidth=1
+            )
         face = "white" if row["how"] == EAGER else colours[_label(row)]
         axes.plot(time, error, MARKERS[row["how"]], color=colours[_label(row)], markerfacecolor=face, markersize=7)
     axes.set(xscale="log", yscale="log", title=name, xlabel="ns a pixel, value and gradients", ylabel="relative error, p99.9")
