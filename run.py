@@ -8,6 +8,7 @@ python3 run.py oldest [options]    the same tests on the lowest versions that py
 python3 run.py check               ruff (lint and format) and mypy
 python3 run.py stability [options] measure every formula against exact arithmetic (docs/stability.md)
 python3 run.py bench [options]     what shading costs beside textbook code (benchmarks/shade.py)
+python3 run.py ledger [options]    what accuracy costs: every method of every law (docs/accuracy-cost.md), about six minutes
 """
 
 import hashlib
@@ -28,6 +29,7 @@ TASKS = {
     "check": ("dev", [["-m", "ruff", "check", "."], ["-m", "ruff", "format", "--check", "."], ["-m", "mypy"]]),
     "stability": ("test", [["tests/stability"]]),
     "bench": ("bench", [["benchmarks/shade.py"]]),
+    "ledger": ("bench", [["-m", "torchbrdf.ledger"]]),
 }
 
 
