@@ -2,6 +2,8 @@
 
 import ctypes.util
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -43,10 +45,10 @@ class DrJit:
         return self.dr.normalize(a)
 
     def sqrt(self, a: Any) -> Any:
-        return self.dr.sqrt(self.dr.maximum(a, 0.0))
+        return self.dr.sqrt(self.dr.select(a > 0.0, a, 0.0))  # not maximum, which LLVM 15 cannot translate
 
     def power(self, a: Any, s: Any) -> Any:
-        return self.dr.power(self.dr.maximum(a, 1e-6), s)
+        return self.dr.power(self.dr.select(a > 1e-6, a, 1e-6), s)
 
     def masked(self, mask: Any, a: Any) -> Any:
         return self.dr.select(mask, a, 0.0)
@@ -75,13 +77,24 @@ class DrJit:
 
 
 def find(threads: int) -> DrJit | None:
-    """Dr.Jit, or None with one line that says why."""
-    try:
+    """Dr.Jit, or None with one line that says why. Tried in a process of its own: an LLVM that it is too new for ends the process."""
+    tried = subprocess.run([sys.executable, __file__], capture_output=True, text=True)
+    if tried.returncode == 0:
         return DrJit(threads)
-    except (ImportError, RuntimeError, OSError) as error:
-        why = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        print(f"Dr.Jit is left out: {why} (it needs the package drjit and libLLVM; DRJIT_LIBLLVM_PATH names the latter)")
-        return None
+    why = (tried.stderr.strip().splitlines() or [f"exit status {tried.returncode}"])[-1]
+    print(f"Dr.Jit is left out: {why} (it needs the package drjit and libLLVM; DRJIT_LIBLLVM_PATH names the latter)")
+    return None
+
+
+def attempt() -> None:
+    """Every formula once, with gradients."""
+    import workloads
+
+    dj = DrJit(1)
+    for name in workloads.TERMS:
+        q = {k: dj.array(v) for k, v in workloads.points(name, 64, torch.float32).items()}
+        dj.forward(workloads.textbook(name))(q)
+        dj.both(workloads.textbook(name))({"normal": q["normal"]}, q, q["albedo"])
 
 
 def _newest_llvm() -> str:
@@ -89,3 +102,7 @@ def _newest_llvm() -> str:
     found = [f for folder in ("/usr/lib", "/usr/lib64", "/usr/local/lib") for f in Path(folder).glob("**/libLLVM*.so*")]
     by_version = sorted(found, key=lambda f: [int(n) for n in "".join(c if c.isdigit() else " " for c in f.name).split()])
     return str(by_version[-1]) if by_version else ctypes.util.find_library("LLVM") or ""
+
+
+if __name__ == "__main__":
+    attempt()
