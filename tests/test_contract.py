@@ -18,6 +18,7 @@ from torchbrdf.constraint import UNIT_DIRECTION
 from torchbrdf.interval import UNIT
 from torchbrdf.optics.fresnel import Fresnel
 from torchbrdf.testing import PROPERTIES, instances, run
+from torchbrdf.testing.borders import dark_outside_domain
 from torchbrdf.testing.energy import energy_bound
 from torchbrdf.testing.instances import of_class
 from torchbrdf.testing.reciprocity import reciprocity
@@ -261,3 +262,11 @@ def test_check_refuses_what_is_no_material():
         tb.testing.check(torch.ones(3))
     with pytest.raises(ValueError, match=r"Lambert.albedo .* legal range \[0, 1\]"):
         tb.testing.check(tb.Lambert(1.2))
+
+
+def test_what_crosses_without_a_transmission_lobe_is_refused(monkeypatch):
+    """Whatever the model says of its domain."""
+    monkeypatch.setattr(tb.Lambert, "domain", lambda self, g: torch.ones_like(g.above))
+    outcome = run(dark_outside_domain, tb.Lambert(0.5))
+    assert outcome.ok is False
+    assert outcome.figure > 0

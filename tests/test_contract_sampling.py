@@ -17,6 +17,7 @@ from torchbrdf.testing.sampling import (
     agreement,
     chi_square,
     counted,
+    of_several,
     p_value,
     pdf_integrates_to_one,
     samples_follow_pdf,
@@ -183,3 +184,8 @@ def test_a_failure_says_where():
     for words in ("for wo at ", " of 20000 samples about wi at ", " expected"):
         assert words in outcome.detail
     assert "\n" not in outcome.detail
+
+
+@pytest.mark.parametrize("tests", [1, 3, 12])
+def test_several_tests_fail_as_seldom_as_one(tests):
+    assert 1 - (1 - of_several(0.01, tests)) ** tests == pytest.approx(0.01)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 import torchbrdf as tb
 from torchbrdf.value import validate
@@ -268,3 +269,12 @@ def test_sampling_answers_for_the_whole_sphere():
     half = env.sample(torch.zeros(5, 3).half(), torch.rand(4, 5, 2))
     assert [x.shape[1:-1] for x in half] == [(4, 5)] * 4
     assert all(x.dtype == torch.float16 for x in half)
+
+
+def test_load_decodes_pictures_and_turns_the_map(tmp_path):
+    """A PNG holds sRGB codes: 128 is 0.2158605 by IEC 61966-2-1, not 128/255."""
+    Image.fromarray(np.full((2, 4, 3), 128, np.uint8)).save(tmp_path / "grey.png")
+    turn = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    env = tb.EnvironmentMap.load(tmp_path / "grey.png", to_world=turn, scale=2.0)
+    torch.testing.assert_close(env.texels, torch.full((2, 4, 3), 2.0 * 0.2158605))
+    assert torch.equal(env.to_world, turn)

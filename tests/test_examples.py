@@ -3,6 +3,7 @@
 import importlib
 import json
 import math
+import types
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,29 @@ def test_a_quick_run_writes_its_files(example, tmp_path, monkeypatch, capsys):
     assert "direct       on " in printed
     assert "truth" in printed
     assert "confidence" in printed
+
+
+def test_a_truth_of_zero_has_an_absolute_error(example, capsys):
+    recovered = {name: torch.tensor(x) for name, x in {"albedo": 0.25, "specular": 0.125, "eta": 1.25, "exponent": 9.0}.items()}
+    rest = dict.fromkeys(recovered, 1.0)
+    rows = by_name(example.report({"albedo": 0.5, "specular": 0.0, "eta": 1.0}, rest, recovered, rest))
+    assert {name: row["error"] for name, row in rows.items()} == {"albedo": 0.5, "specular": 0.125, "eta": 0.25, "exponent": None}
+    shown = {
+        line.split()[0]: line.split()[4] for line in capsys.readouterr().out.splitlines() if line.split()[:1] and line.split()[0] in rows
+    }
+    assert shown == {"albedo": "50.00%", "specular": "0.1250", "eta": "0.2500", "exponent": "-"}
+
+
+def test_black_texels_have_no_relative_error(example):
+    material = torch.nn.ModuleDict({"albedo": tb.nn.Texture(torch.full((2, 2, 3), 0.5))})
+    truth = torch.tensor([[0.0, 0.4], [0.5, 0.25]]).unsqueeze(-1).expand(2, 2, 3)
+    everywhere = torch.ones(2, 2, dtype=torch.bool)
+
+    def texels(truth):
+        return example._texel_error(material, types.SimpleNamespace(truth={"albedo": truth}), everywhere)
+
+    assert texels(truth)[0]["error"] == pytest.approx((0.25 + 0.0 + 1.0) / 3)
+    assert texels(0 * truth) == []
 
 
 @pytest.mark.slow

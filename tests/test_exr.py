@@ -323,3 +323,20 @@ def test_a_missing_and_a_damaged_file_are_named(tmp_path):
     (tmp_path / "bad.exr").write_bytes(b"no picture")
     with pytest.raises(ValueError, match=r"bad\.exr is damaged"):
         tb.GBuffer.load(tmp_path / "bad.exr")
+
+
+def test_names_do_not_make_our_own_file_another_renderers(tmp_path, capsys):
+    """The file says whose it is, whatever the caller says about layers."""
+    g = sphere_gbuffer()
+    g.save(tmp_path / "g.exr")
+    again = tb.GBuffer.load(tmp_path / "g.exr", names={"position": "position", "normal": "geometric_normal", "view": "view"})
+    for name, tensor, _ in g.replace(normal=g.geometric_normal).own_tensors():
+        assert torch.equal(getattr(again, name), tensor), name
+    assert capsys.readouterr().out == "g.exr: own G-buffer; view as stored\n"
+    for names, message in [
+        ({"position": "P"}, r"names: no channels \['P.X', 'P.Y', 'P.Z'\] for the position; the file has layers"),
+        ({"normal": "uv"}, r"names: no channels \['uv.X', 'uv.Y', 'uv.Z'\] for the normal; the file has layers"),
+        ({"albedo": "uv"}, r"names: unknown fields \['albedo'\], legal are \['barycentric', "),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            tb.GBuffer.load(tmp_path / "g.exr", names=names)

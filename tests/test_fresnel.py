@@ -10,6 +10,7 @@ from torch.autograd import grad
 
 import torchbrdf as tb
 from torchbrdf import fresnel
+from torchbrdf.geometry import Layout
 from torchbrdf.optics.metals import index_at, tables
 
 DTYPES = (torch.float32, torch.float64)
@@ -36,38 +37,17 @@ def test_brewster(eta):
     assert fresnel.dielectric(torch.tensor(cos, dtype=torch.float64), eta).item() == pytest.approx(0.5 * r_s * r_s, rel=1e-13)
 
 
-@pytest.mark.parametrize("eta", [0.6, 1.33, 1.5, 2.42])
-def test_amplitudes(eta):
-    """Opposite at normal incidence; r_p alone vanishes at Brewster's angle, where it changes sign; -1 both at grazing."""
-    brewster = 1.0 / math.sqrt(1.0 + eta * eta)
-    c = torch.tensor([1.0, brewster * (1 + 1e-9), brewster * (1 - 1e-9), 0.0], dtype=torch.float64)
-    r_s, r_p = fresnel.amplitudes(c, eta)
-    assert [r_s[0].item(), -r_p[0].item()] == pytest.approx([(1 - eta) / (1 + eta)] * 2, rel=1e-15)
-    assert r_s[1].item() == pytest.approx((1 - eta * eta) / (1 + eta * eta), rel=1e-8)
-    if eta > 1:
-        assert r_p[1] * r_p[2] < 0
-        assert abs(r_p[1]) < 1e-8
-        assert [r_s[3].item(), r_p[3].item()] == pytest.approx([-1.0, -1.0], rel=1e-15)
-
-
-def test_amplitudes_make_the_reflectance_and_the_cosine_obeys_snell():
+def test_the_cosine_obeys_snell():
     c = cosines()
     for eta in (0.5, 0.9, 1.5, 3.0):
-        r_s, r_p = fresnel.amplitudes(c, eta)
-        torch.testing.assert_close(0.5 * (r_s**2 + r_p**2), fresnel.dielectric(c, eta), rtol=1e-13, atol=1e-16)
+        s_re = fresnel.amplitudes(c, eta).s_re
         cos_t = fresnel.refraction_cosine(c, eta)
         total = 1 - c * c >= eta * eta
         torch.testing.assert_close((eta * torch.sqrt(1 - cos_t**2))[~total], torch.sqrt(1 - c * c)[~total], rtol=1e-12, atol=1e-7)
         assert bool((cos_t[total] == 0).all())
-        assert bool((r_s[total] == 1).all())
         # what is not reflected is transmitted: r_s^2 + (eta cos_t / cos_i) t_s^2 = 1 with t_s = 1 + r_s
-        torch.testing.assert_close((c * (1 - r_s**2))[~total], (eta * cos_t * (1 + r_s) ** 2)[~total], rtol=1e-11, atol=1e-15)
-
-
-def test_matched_media_have_no_amplitudes():
-    c = torch.tensor([0.0, 0.3, 1.0])
-    assert torch.stack(fresnel.amplitudes(c, 1.0)).tolist() == [[0.0] * 3] * 2
-    assert fresnel.refraction_cosine(c, 1.0).tolist() == c.tolist()
+        torch.testing.assert_close((c * (1 - s_re**2))[~total], (eta * cos_t * (1 + s_re) ** 2)[~total], rtol=1e-11, atol=1e-15)
+    assert fresnel.refraction_cosine(torch.tensor([0.0, 0.3, 1.0]), 1.0).tolist() == torch.tensor([0.0, 0.3, 1.0]).tolist()
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -202,6 +182,20 @@ def test_half_types_round_once(half):
     ):
         assert found.dtype == half
         assert bool(((found.double() - exact).abs() <= 0.501 * torch.finfo(half).eps * exact).all())
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_kink_distance_is_zero_at_the_critical_angle(dtype):
+    """And grows as |g^2| to both sides; of several channels the nearest counts."""
+    eta = torch.tensor([0.6, 1.5], dtype=dtype)
+    cos = torch.tensor([0.8, 0.85, 0.7, 1.0, 0.0], dtype=dtype)
+    mirror, wo = tb.Mirror(1.0, tb.Dielectric(eta)), torch.stack([torch.sqrt(1 - cos * cos), 0 * cos, cos], -1)
+    expected = [0.0, 0.85**2 - 0.64, 0.64 - 0.49, 0.36, 0.64]
+    term = tb.Dielectric(eta).kink_distance(Layout.beside(cos), cos)
+    assert term.tolist() == pytest.approx(expected, abs=4 * torch.finfo(dtype).eps)
+    viewer = mirror.geometry(wo * torch.tensor([-1, -1, 1], dtype=dtype), wo)
+    assert mirror.kink_distance(viewer).tolist() == pytest.approx([*expected[:4], 0.0], abs=4 * torch.finfo(dtype).eps)
+    assert tb.Conductor(0.2, 3.0).kink_distance(Layout.beside(cos), cos).tolist() == [1.0] * 5
 
 
 def test_beyond_the_interval_as_at_its_ends():

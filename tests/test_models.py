@@ -8,7 +8,7 @@ import torch
 import torchbrdf as tb
 from torchbrdf.bsdf.base import PLANAR_CHANNELS
 from torchbrdf.testing.energy import hemisphere
-from torchbrdf.testing.subject import above, at_angles, generator
+from torchbrdf.testing.subject import above, at_angles, directions, generator
 
 UP = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
 EXPONENTS = (0.0, 0.3, 1.0, 5.0, 30.0, 200.0)
@@ -69,6 +69,25 @@ def test_mirror():
     assert tb.Mirror().evaluate(s.wi, wo).item() == 0
     assert tb.Mirror().lobes == (tb.Lobe.DELTA_REFLECTION,)
     assert tb.Mirror().sample(-wo, torch.rand(1, 2, dtype=torch.float64)).weight.item() == 0
+    assert tb.Mirror([0.3, 0.5], tb.Dielectric(1.5)).energy_bound.tolist() == tb.Mirror([0.3, 0.5]).energy_bound.tolist()
+    assert tb.Mirror([0.3, 0.5]).energy_bound.tolist() == pytest.approx([0.3, 0.5]), "reached at grazing, or without a Fresnel term"
+
+
+def test_a_delta_has_no_density_but_a_probability():
+    """`pdf` is that of the other lobes; a sample of a delta says how likely its lobe was."""
+    wo = at_angles(30.0)
+    for model, delta in ((tb.Mirror(0.5), 0), (tb.Lambert(0.5) + tb.Mirror(0.5), 1)):
+        for u in (0.01, 0.99):
+            s = model.sample(wo, torch.tensor([[0.3, 0.6, u]], dtype=torch.float64))
+            density = model.pdf(s.wi, wo)
+            chosen_delta = s.lobe.item() == delta
+            assert chosen_delta == bool(model.lobes[s.lobe.item()] & tb.Lobe.DELTA)
+            if chosen_delta:
+                assert s.pdf.item() == pytest.approx(1.0 if delta == 0 else 0.5)
+                lambert = 0.5 * tb.Lambert(0.5).pdf(s.wi, wo).item()
+                assert density.item() == pytest.approx(0.0 if delta == 0 else lambert)
+            else:
+                assert s.pdf.item() == pytest.approx(density.item())
 
 
 def test_sum_and_scaled():
@@ -152,3 +171,72 @@ def test_parameters_given_as_numbers_follow_the_device(kind):
             s = bsdf.sample(w, u, w)
             results = (bsdf.evaluate(w, w, w), bsdf.pdf(w, w), bsdf.directional_albedo(w), s.wi, s.weight, s.pdf)
             assert all(r.device.type == kind and r.dtype == torch.float32 for r in results)
+
+
+BELOW = (tb.Lambert(0.3), tb.Phong(0.5, 8.0), tb.BlinnPhong(0.4, 60.0), tb.Mirror(0.5))
+SUMS = (BELOW[0] + BELOW[1] + BELOW[2], BELOW[0] + BELOW[3], 2.0 * BELOW[1], tb.TwoSided(BELOW[1] + BELOW[0]))
+
+
+@pytest.mark.parametrize("bsdf", [*BELOW, *SUMS], ids=lambda b: type(b).__name__)
+def test_no_direction_below_the_horizon_has_a_density(bsdf):
+    """Neither to the light nor to the viewer; a two-sided model has one where both are below."""
+    wi, wo = above(200, generator(6)), above(200, generator(7))
+    assert bsdf.pdf(wi, wo).any() or isinstance(bsdf, tb.Mirror)
+    for a, b in ((-wi, wo), (wi, -wo), (-wi, -wo)):
+        both = isinstance(bsdf, tb.TwoSided) and a is not wi and b is not wo
+        assert both or not bsdf.pdf(a, b).any()
+
+
+def test_a_sum_samples_its_terms_as_they_reflect():
+    """Shares 1 : 2 : 1 among lobes, a factor and a mirror counted in; every weight is then about the whole albedo."""
+    wo = at_angles(0.0).expand(4000, 3)
+    u = torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(4000, dtype=torch.float64)
+    for bsdf, shares in {
+        tb.Lambert([0.1, 0.3]) + tb.Lambert(0.4) + 0.5 * tb.Lambert(0.4): [0.25, 0.5, 0.25],
+        tb.Mirror([0.1, 0.3]) + tb.Lambert(0.4) + 0.5 * tb.Mirror(0.4): [0.25, 0.5, 0.25],
+        tb.Lambert(0.2) + tb.BlinnPhong(0.2, 0.0) + tb.Lambert(0.0): [0.5, 0.5, 0.0],
+    }.items():
+        s = bsdf.sample(wo, u)
+        assert [(s.lobe == k).double().mean().item() for k in range(3)] == pytest.approx(shares, abs=2e-3)
+        torch.testing.assert_close(s.weight.mean(0), bsdf.directional_albedo(wo[0]), rtol=0.02, atol=0)
+
+
+def test_shares_teach_nothing():
+    """Weights of samples that stay where they are have the gradient of the albedo only if the choice among terms has none."""
+    a = torch.tensor([0.2, 0.6], dtype=torch.float64, requires_grad=True)
+    wo, u = at_angles(30.0).expand(4096, 3), torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(4096, dtype=torch.float64)
+    for bsdf in (tb.Lambert(a) + tb.Lambert(0.3), tb.Mirror(a) + tb.Lambert(0.3)):
+        (slope,) = torch.autograd.grad(bsdf.sample(wo, u).weight.mean(0).sum(), a)
+        torch.testing.assert_close(slope, torch.ones_like(a), rtol=0.01, atol=0)
+        assert not bsdf.pdf(wo, wo).requires_grad
+
+
+def test_a_black_sum_still_samples():
+    black = tb.Lambert(0.0) + tb.BlinnPhong(0.0, 5.0)
+    wi, wo = above(20, generator(8)), above(20, generator(9))
+    mean = 0.5 * (tb.Lambert(0.5).pdf(wi, wo) + tb.BlinnPhong(0.5, 5.0).pdf(wi, wo))
+    torch.testing.assert_close(black.pdf(wi, wo), mean)
+    s = black.sample(wo, torch.rand(20, 3, dtype=torch.float64))
+    assert (s.weight == 0).all()
+    torch.testing.assert_close(s.wi.norm(dim=-1), torch.ones(20, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("local", [True, False])
+def test_delta_lobes_know_their_cosine(local):
+    """On the viewer's side of the surface, whichever that is."""
+    frame = tb.Frame.from_normal(directions(40, generator(10)))
+    wo, n = directions(40, generator(11)), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64) if local else frame.normal
+    for bsdf in (tb.Mirror(), tb.TwoSided(tb.Mirror(0.5)), tb.TwoSided(tb.Mirror(0.5), 0.5 * tb.Mirror()) + tb.Lambert(0.1)):
+        viewer = bsdf.viewer(wo, None if local else n)
+        for d in bsdf.deltas(viewer):
+            wi = viewer.layout.join_vector(d.wi)
+            torch.testing.assert_close(d.cos_i, (n * wi).sum(-1))
+            torch.testing.assert_close(wi, tb.reflect(wo, n.expand_as(wo)))
+
+
+def test_a_two_sided_term_is_sampled_as_its_viewers_side_reflects():
+    bsdf = tb.TwoSided(tb.Lambert(0.1), tb.Lambert(0.4)) + tb.TwoSided(tb.Lambert(0.3))
+    u = torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(4000, dtype=torch.float64)
+    for wo, shares in ((UP, [0.0, 4 / 7, 3 / 7]), (-UP, [1 / 4, 0.0, 3 / 4])):
+        lobe = bsdf.sample(wo.expand(4000, 3), u).lobe
+        assert [(lobe == k).double().mean().item() for k in range(3)] == pytest.approx(shares, abs=2e-3)

@@ -50,6 +50,16 @@ def test_diffuse_below_the_horizon(mi):
         assert tb.Lambert(0.5).evaluate(wi, wo).item() == 0.0
 
 
+@pytest.mark.parametrize(("eta", "k"), [(1.5, 0.0), (1 / 1.5, 0.0), (0.2, 3.0), (3.0, 0.4)])
+def test_polarised_amplitudes_are_its_conjugates(mi, eta, k):
+    """Mitsuba's time runs as exp(+i omega t)."""
+    index = type(mi.fresnel_polarized(0.5, 1.5)[0])(eta, k)
+    for cos in (0.05, 0.3, 0.6, 0.9, 1.0):
+        ours = tb.fresnel.amplitudes(torch.tensor(cos, dtype=torch.float64), eta, k)
+        for theirs, r in zip(mi.fresnel_polarized(cos, index)[:2], (ours.s, ours.p), strict=True):
+            assert (theirs.real, theirs.imag) == pytest.approx((r.real.item(), -r.imag.item()), abs=SINGLE)
+
+
 @pytest.mark.parametrize("metal", ["Au", "Cu", "Ag", "Al"])
 def test_smooth_conductor_is_a_mirror(mi, metal):
     fresnel = tb.Conductor.named(metal)

@@ -5,6 +5,7 @@ import torch
 import trimesh
 
 import torchbrdf as tb
+from torchbrdf.effects.direct import Direct
 
 POINT = tb.PointLight([0.0, 0.0, 5.0], 1.0)
 SUNS = tb.DirectionalLight([[0.0, 0.0, 1.0], [0.0, 1.0, 1.0]], 1.0)
@@ -104,3 +105,17 @@ def test_shadows_that_would_be_lost():
     tb.plan(g, tb.Mirror(), SKY)(g, tb.Mirror(), SKY, visibility=free[:0])
     with pytest.raises(ValueError, match=r"mesh: the plan casts shadows; pass mesh=\.\.\. or visibility="):
         tb.plan(g, GLOSSY, POINT, box())(g, GLOSSY, POINT)
+
+
+def test_an_effect_of_the_same_name_takes_the_place_of_the_built_in_one():
+    g, seen = plate(), []
+
+    class Double(Direct):
+        def prepare(self, scene, generator):
+            seen.append(torch.is_grad_enabled())
+
+        def run(self, bsdf, surface, lights, prepared):
+            return [part._replace(radiance=[2 * c for c in part.radiance]) for part in super().run(bsdf, surface, lights, prepared)]
+
+    torch.testing.assert_close(tb.shade(g, GLOSSY, POINT, effects=[Double()]), 2 * tb.shade(g, GLOSSY, POINT))
+    assert seen == [False], "what is prepared has no gradient"

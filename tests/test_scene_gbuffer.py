@@ -85,7 +85,8 @@ def test_derivatives_to_vertices_against_recast_differences():
 def test_derivatives_to_the_camera_against_recast_differences(name):
     mesh = ball()
     checked = check_against_recast(lambda x: tb.GBuffer.from_mesh(mesh, camera(**{name: x})), getattr(camera(), name))
-    assert {"position", "depth", "normal", "uv", "barycentric"} <= set(checked)
+    follow = {"position", "depth", "normal", "uv", "barycentric"}
+    assert (follow if name == "origin" else follow | {"view"}) <= set(checked), "a ray keeps its direction where the camera moves"
 
 
 def test_derivatives_to_given_normals_and_uv():
@@ -95,7 +96,7 @@ def test_derivatives_to_given_normals_and_uv():
 
 
 def test_what_it_holds_fits_together():
-    mesh = ball(subdivisions=3).replace(material=torch.arange(1280).unsqueeze(-1))
+    mesh = ball(subdivisions=3).replace(material=7 + torch.arange(1280).unsqueeze(-1))  # face 0 is not of material 0, the background's
     g = tb.GBuffer.from_mesh(mesh, camera((32, 40)))
     m = g.mask.squeeze(-1)
     origin, direction = camera((32, 40)).rays()
@@ -105,7 +106,7 @@ def test_what_it_holds_fits_together():
     assert torch.equal(g.view, -direction)
     assert g.barycentric[m].min() > -1e-6  # embree decides in float32 which side of an edge a ray passes
     assert ((g.geometric_normal * g.view).sum(-1)[m] > 0).all()
-    assert torch.equal(g.material, torch.where(g.mask, g.triangle, 0))
+    assert torch.equal(g.material, torch.where(g.mask, 7 + g.triangle, 0))
     assert torch.equal(g.triangle == -1, ~g.mask)
     # tangent: u grows along it, and v does not
     gradient = torch.linalg.lstsq(
@@ -292,3 +293,14 @@ def test_a_uv_that_is_no_number_does_not_poison_the_slopes_of_the_rest(wrong):
     (slope,) = torch.autograd.grad(image.sum(), vertices)
     assert bool(torch.isfinite(slope).all())
     assert bool(slope.any())
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_one_normal_that_is_no_number_masks_out_its_faces_and_no_others(wrong):
+    v = torch.tensor([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    normals = torch.tensor([[0.0, 0.0, 1.0]]).repeat(4, 1)
+    normals[1, 2] = wrong
+    g = tb.GBuffer.from_mesh(tb.Mesh(v, [[0, 1, 2], [0, 2, 3]], normals=normals), camera((16, 16)))
+    assert {0, 1} <= set(g.triangle.unique().tolist())
+    assert torch.equal(g.valid, g.triangle == 1)
+    assert (g.normal[~g.valid.squeeze(-1)] == 0).all()

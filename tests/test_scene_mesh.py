@@ -190,3 +190,13 @@ def test_the_caster_follows_the_vertices():
         small = tb.GBuffer.from_mesh(frozen, in_front()).mask.sum()
         frozen.vertices.mul_(2.0)
         assert tb.GBuffer.from_mesh(frozen, in_front()).mask.sum() == before > small
+
+
+@pytest.mark.parametrize("mirror", [[-1.0, 1.0, 1.0], [-1.0, -2.0, -3.0], [-1.0, 1.0, -1.0]])
+def test_a_mirrored_part_keeps_its_outside_outside(tmp_path, mirror):
+    """The volume by the divergence theorem has the sign of the winding."""
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box(), transform=np.diag([*mirror, 1.0]))
+    scene.export(tmp_path / "box.glb")
+    mesh = tb.load_mesh(tmp_path / "box.glb")
+    assert (torch.linalg.det(mesh.vertices[mesh.faces]).sum() / 6).item() == pytest.approx(abs(np.prod(mirror)))

@@ -189,3 +189,31 @@ def test_points_out_of_reach_stay():
     up = torch.tensor([0.0, 0.0, 1.0])
     for view in (None, up):
         assert tb.visibility(tb.GBuffer(points, up, view), Sun(1.0, 0.0, 0.5), mesh).flatten().tolist() == [1.0, 0.0]
+
+
+def test_rounded_weights_stay_on_their_triangle():
+    """Weights of half precision do not sum to 1; the point is on the plane of its triangle all the same."""
+    v, faces = plate(1.0, 2.0)
+    mesh, up = tb.Mesh(v, faces), torch.tensor([0.0, 0.0, 1.0])
+    weights = torch.tensor([[0.25, 0.374, 0.375]])
+    point = (weights.unsqueeze(-1) * v[faces[0]]).sum(1)
+    start = module.starts(tb.GBuffer(point, up, up, triangle=torch.tensor([[0]]), barycentric=weights), mesh, caster_of(mesh))
+    torch.testing.assert_close(start.point, point.double() / weights.sum().double(), rtol=1e-6, atol=0)
+    assert (start.point[:, 2] - 1.0).abs() < 1e-12
+
+
+def test_a_line_of_sight_that_meets_the_surface_far_off_is_not_followed():
+    """It lies 0.004 over the plate, and 0.8 before it along the line of sight: the point below it counts."""
+    mesh, up = tb.Mesh(*plate(0.0, 2.0)), torch.tensor([0.0, 0.0, 1.0])
+    g = tb.GBuffer(torch.tensor([[-0.5, 0.1, 0.004]]), up, tb.normalize(torch.tensor([1.0, 0.0, 0.005])))
+    start = module.starts(g, mesh, caster_of(mesh))
+    torch.testing.assert_close(start.point, torch.tensor([[-0.5, 0.1, 0.0]], dtype=torch.float64))
+
+
+def test_a_half_float_is_looked_for_on_its_triangle():
+    """Its own rounding, 2e-4 here, would let rays start as far off the surface."""
+    mesh, up = tb.Mesh(*plate(1 / 3, 2.0)), torch.tensor([0.0, 0.0, 1.0])
+    g = tb.GBuffer(torch.tensor([[-0.5, 0.1, 1 / 3]]), up, up, triangle=torch.tensor([[0]])).to(torch.float16)
+    start = module.starts(g, mesh, caster_of(mesh))
+    assert (start.point[:, 2] - mesh.vertices[0, 2]).abs() < 1e-12
+    assert start.offset < 1e-5

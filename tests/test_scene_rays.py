@@ -79,6 +79,7 @@ def test_derivatives_to_vertices_origin_and_direction():
         return tuple(getattr(g, name) for name in FIELDS)
 
     leaves = tuple(t.clone().requires_grad_() for t in (mesh.vertices, origin, direction))
+    assert all(x.requires_grad for x in fields(*leaves)), "gradcheck passes over what is cut off"
     assert torch.autograd.gradcheck(fields, leaves, fast_mode=True)
     assert torch.autograd.gradcheck(lambda o, d: fields(mesh.vertices, o, d), leaves[1:])
     assert torch.autograd.gradgradcheck(lambda o, d: fields(mesh.vertices, o, d)[0], leaves[1:])

@@ -66,11 +66,16 @@ def test_derivatives_to_vertices_weights_and_viewpoint():
             return tuple(getattr(g, name) for name in FIELDS)
 
         leaves = tuple(t.clone().requires_grad_() for t in (mesh.vertices, w, eye))
+        assert all(x.requires_grad for x in fields(*leaves)), "gradcheck passes over what is cut off"
         assert torch.autograd.gradcheck(fields, leaves, fast_mode=True)
         assert torch.autograd.gradcheck(lambda a, b: fields(mesh.vertices, a, b), leaves[1:])
     moved = camera().origin.clone().requires_grad_()
     g = tb.GBuffer.from_triangles(mesh, ids, w, camera().replace(origin=moved))
-    assert torch.autograd.grad(g.depth.sum(), moved)[0].any()
+    truth = tb.normalize(moved - g.position)
+    w = torch.randn(4, 3, generator=gen, dtype=REAL) * g.mask
+    slopes = [torch.autograd.grad(x.sum(), moved, retain_graph=True)[0] for x in (g.depth, w * g.view, w * truth)]
+    assert slopes[0].any()
+    torch.testing.assert_close(slopes[1], slopes[2])
 
 
 def test_viewpoints_and_shapes_of_triangles():

@@ -92,6 +92,25 @@ def test_a_shadow_has_its_shape_and_stays_attached(gap):
         assert (tb.visibility(g, Point([0.0, 0.0, 1.5]), mesh)[0, 15, 15] == 0).all()
 
 
+def test_a_light_in_the_plane_of_a_plate_does_not_light_it():
+    """Not even where it touches a point, nor where a shading normal leans towards it; and every gradient is finite."""
+    mesh = tb.Mesh(*plate(0.0, 1.0))
+    x = torch.tensor([-0.5, 0.0, 0.25, 0.75])
+    up = torch.tensor([0.0, 0.0, 1.0]).expand(4, 3)
+    points, at = torch.stack([x, 0 * x, 0 * x], -1).requires_grad_(), torch.tensor([[0.25, 0.0, 0.0]], requires_grad=True)
+    light, bsdf = tb.PointLight(at, 1.0), tb.Lambert(0.5) + tb.Phong(0.3, 20.0)
+    leaning = tb.normalize(up + torch.tensor([[0.3, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.0, 0.0], [-0.3, 0.0, 0.0]]))
+    for normal in (up, leaning):
+        g = tb.GBuffer(points, normal, up, up)
+        assert (tb.visibility(g, light, mesh) == 0).all()
+        radiance = tb.shade(g, bsdf, light, mesh=mesh)
+        assert (radiance == 0).all()
+        for slope in torch.autograd.grad(radiance.sum(), (points, at), allow_unused=True, materialize_grads=True):
+            assert torch.isfinite(slope).all()
+    free = tb.shade(tb.GBuffer(points, up, up, up), bsdf, light)
+    assert (free == 0).all(), "without shadows too: the cosine is 0, and nothing comes from no distance"
+
+
 def test_the_lit_side_is_the_one_that_is_seen():
     """A sheet seen from behind (two-sided): the light on the viewer's side is visible, the one beyond is not."""
     v, faces = plate(0.0, 1.0)

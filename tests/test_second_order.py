@@ -167,3 +167,19 @@ def test_curvature_of_a_batch_of_materials():
     for one, h in zip(x, found, strict=True):
         torch.testing.assert_close(h, torch.autograd.functional.hessian(value, one))
     assert float(found.abs().amin(0).max()) > 0
+
+
+def test_confidence_is_that_of_linear_least_squares(part):
+    """Residuals A x - b of two photographs: the covariance is s^2 (A'A)^-1 with s^2 the mean of the squared residuals."""
+    gen = torch.Generator().manual_seed(0)
+    factors = [torch.randn(n, 3, 4, generator=gen, dtype=torch.float64) * torch.tensor([1.0, 3.0, 0.1, 1.0]) for n in (20, 31)]
+    points = [part("problem").Points(None, k, torch.randn(a.shape[:-1], generator=gen, dtype=torch.float64)) for k, a in enumerate(factors)]
+    model = torch.nn.Linear(4, 1, bias=False).double()
+    model.forward = lambda p: (factors[p.light] @ model.weight.t()).squeeze(-1) - p.image
+    whole = torch.cat(factors).flatten(0, 1)
+    rest = torch.cat([model(p).detach() for p in points])
+    covariance = rest.square().mean() * torch.linalg.inv(whole.t() @ whole)
+    confidence = part("confidence").Confidence(model, points)
+    for c in (torch.eye(4)[0], torch.eye(4)[2], torch.tensor([1.0, -2.0, 3.0, 0.5])):
+        c = c.double()
+        assert confidence.of((model.weight * c).sum()) == pytest.approx(float((c @ covariance @ c).sqrt()), rel=1e-9)

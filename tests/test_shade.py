@@ -7,6 +7,7 @@ import torch
 import trimesh
 
 import torchbrdf as tb
+from torchbrdf.effects import direct
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 
@@ -208,12 +209,13 @@ def test_a_degenerate_triangle_is_dark_and_harmless():
     assert (v.grad[3:] == 0).all()
 
 
+@pytest.mark.filterwarnings("ignore:GBuffer. none of its")  # tests/test_doubts.py asks for it
 def test_back_faces_are_black_and_light_from_below_gives_nothing():
     g = sheet()
     assert not tb.shade(g.replace(normal=-g.normal), glossy(), three_lights()).any()
     assert not tb.shade(g.replace(view=-g.view), glossy(), three_lights()).any()
-    assert not tb.shade(g, glossy(), tb.PointLight([0.0, 0.0, -3.0], 1.0)).any()
     assert not tb.shade(g.replace(normal=-g.normal), tb.Mirror(), tb.EnvironmentMap(torch.ones(2, 4, 3))).any()
+    assert not tb.shade(g, glossy(), tb.PointLight([0.0, 0.0, -3.0], 1.0)).any()
 
 
 @pytest.mark.parametrize("fresnel", [None, tb.Dielectric(1.5), tb.Conductor.named("Cu")])
@@ -251,6 +253,9 @@ def test_shadows_by_mesh_by_visibility_and_off():
     known = tb.visibility(g, lights, mesh)
     assert torch.equal(tb.shade(g, tb.Lambert(0.5), lights, visibility=known, per_light=True), cast)
     assert torch.equal(tb.shade(g, tb.Lambert(0.5), lights, visibility=known.bool(), per_light=True), cast)
+    planned = tb.plan(g, tb.Lambert(0.5), lights, mesh)
+    for prepared in (known, planned.prepare(g, lights, mesh)):
+        assert torch.equal(planned(g, tb.Lambert(0.5), lights, prepared, per_light=True), cast)
     wide = tb.shade(g, tb.Lambert(torch.full((8,), 0.5)), lights, visibility=known, per_light=True)
     torch.testing.assert_close(wide, cast.expand_as(wide))
     # A visibility that is given wins over the mesh, and may be soft, and learned.
@@ -279,3 +284,47 @@ def test_a_single_point_is_a_g_buffer_too(channels):
     point = tb.GBuffer(*(getattr(g, name)[2, 3] for name in ("position", "normal", "view")))
     torch.testing.assert_close(tb.shade(point, material, lights), tb.shade(g, material, lights)[2, 3])
     torch.testing.assert_close(tb.shade(point, material, lights, per_light=True), tb.shade(g, material, lights, per_light=True)[:, 2, 3])
+
+
+def test_a_scaled_mirror_shows_a_scaled_environment():
+    g, sky = sheet(dtype=torch.float64), tb.EnvironmentMap(torch.rand(16, 32, 3, dtype=torch.float64))
+    k = torch.tensor([0.5, 0.25, 2.0], dtype=torch.float64)
+    torch.testing.assert_close(tb.shade(g, k * tb.Mirror(0.8), sky), k * 0.8 * tb.shade(g, tb.Mirror(), sky))
+
+
+def test_what_a_mirror_shows_follows_the_normal():
+    """A mirror that turns by an angle moves what it shows by twice that; the map here is 1 + the direction's own components."""
+    v = (torch.arange(128, dtype=torch.float64).unsqueeze(1) + 0.5) / 128 * math.pi
+    u = ((torch.arange(256, dtype=torch.float64) + 0.5) / 256 - 0.5) * 2 * math.pi
+    sky = tb.EnvironmentMap(1 + torch.stack([-v.sin() * u.sin(), v.cos() + 0 * u, v.sin() * u.cos()], -1))
+    g = sheet(dtype=torch.float64)
+    normal, view = (t.clone().requires_grad_() for t in (g.normal, g.view))
+    image = tb.shade(g.replace(normal=normal, view=view), tb.Mirror(), sky)
+    truth = 1 + tb.reflect(tb.normalize(view), tb.normalize(normal))
+    w = torch.randn(image.shape, dtype=torch.float64) * ((normal * view).sum(-1, keepdim=True) > 0)
+    for found, expected in zip(*(torch.autograd.grad((w * x).sum(), (normal, view)) for x in (image, truth)), strict=True):
+        assert (found - expected).norm() < 0.03 * expected.norm()  # piecewise linear between 256 texels: an error of the slope of pi / 256
+
+
+def test_the_side_without_a_mirror_shows_nothing():
+    """Of a surface that is a mirror on one side, the other side is black under an environment, whichever it is."""
+    g, sky = sheet(dtype=torch.float64), tb.EnvironmentMap(torch.rand(16, 32, 3, dtype=torch.float64))
+    behind, matt, shiny = g.replace(normal=-g.normal), tb.Lambert(0.5), tb.Mirror(0.8)
+    for inside, outside in ((shiny, matt), (matt, shiny)):
+        both = tb.TwoSided(inside, outside).select(tb.Lobe.DELTA)
+        seen, unseen = (behind, g) if inside is shiny else (g, behind)
+        torch.testing.assert_close(tb.shade(seen, both, sky), tb.shade(g, shiny, sky))
+        assert not tb.shade(unseen, both, sky).any()
+
+
+@pytest.mark.parametrize("size", [1, 80, 1 << 15])
+def test_groups_of_lights_are_rows_in_order(monkeypatch, size):
+    """Of 36 pixels, lights one by one, two at a time or all at once are what each is alone, with its own shadow."""
+    g, sun = sheet(), three_lights()[1]
+    lights = [sun, tb.PointLight(torch.randn(5, 3) + 3 * UP, torch.rand(5, 3)), sun]
+    seen = torch.rand(7, 6, 6, 1)
+    single = [sun, *(lights[1][k] for k in range(5)), sun]
+    rows = torch.stack([tb.shade(g, glossy(), one, visibility=v.unsqueeze(0)) for one, v in zip(single, seen, strict=True)])
+    monkeypatch.setattr(direct, "GROUP", size)
+    torch.testing.assert_close(tb.shade(g, glossy(), lights, visibility=seen, per_light=True), rows)
+    torch.testing.assert_close(tb.shade(g, glossy(), lights, visibility=seen), rows.sum(0))

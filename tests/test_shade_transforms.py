@@ -142,3 +142,18 @@ def test_compiled_mirror_is_eager_mirror():
     g, sky = sheet(16), tb.EnvironmentMap(torch.rand(16, 32, 3))
     material = tb.Mirror([0.9, 0.5, 0.2], tb.Conductor.named("Cu"))
     torch.testing.assert_close(tb.compile(tb.shade)(g, material, sky), tb.shade(g, material, sky), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("given", "asked"),
+    [
+        ({}, {"fullgraph": True, "backend": "recomputing"}),
+        ({"fullgraph": False}, {"fullgraph": False, "backend": "recomputing"}),
+        ({"recompute": False}, {"fullgraph": True, "backend": "inductor"}),
+    ],
+)
+def test_what_compile_asks_of_torch(monkeypatch, given, asked):
+    monkeypatch.setattr(torch_compat, "has_cpp_compiler", lambda: True)
+    monkeypatch.setattr(torch_compat, "recomputing_backend", lambda: "recomputing")
+    monkeypatch.setattr(torch, "compile", lambda fn, **options: options)
+    assert tb.compile(tb.shade, **given) == asked

@@ -120,6 +120,18 @@ def test_without_a_budget_the_backend_is_inductor(without, monkeypatch):
         assert torch_compat.recomputing_backend() == "inductor"
 
 
+def test_the_backend_saves_nothing_and_leaves_others_their_budget(monkeypatch):
+    from torch._functorch import config
+
+    inner = types.SimpleNamespace(compile_fx=lambda graph, inputs: config.activation_memory_budget)
+    monkeypatch.setitem(sys.modules, "torch._inductor.compile_fx", inner)  # importing the real one takes seconds
+    torch_compat.recomputing_backend.cache_clear()
+    backend, before = torch_compat.recomputing_backend(), config.activation_memory_budget
+    torch_compat.recomputing_backend.cache_clear()
+    assert backend(None, []) == 0.0
+    assert config.activation_memory_budget == before != 0.0
+
+
 def test_a_budget_of_another_name_is_left_out(monkeypatch):
     def patch(**changes):
         raise AttributeError(f"no {changes}")

@@ -50,6 +50,8 @@ def test_frozen():
 
 
 def test_to():
+    colour = tb.Lambert(torch.tensor([0.1, 0.2, 0.3]))
+    assert [t.dtype for v in (colour, tb.Lambert(0.5)) for _, t in v.to(torch.float16).named_tensors()] == [torch.float16] * 2
     m = mixture(4).to(torch.float64)
     assert all(t.dtype == torch.float64 for t in pytree.tree_leaves(m))
     assert mixture(4).to("meta").terms[0].albedo.device.type == "meta"

@@ -387,10 +387,18 @@ def test_an_area_light_and_an_effect_that_draws():
     torch.testing.assert_close(plan(g, material, [lamp, sun], prepared), rows.sum(0))
     again = plan.prepare(g, [lamp, sun], generator=torch.Generator().manual_seed(1))
     assert torch.equal(plan(g, material, [lamp, sun], again), plan(g, material, [lamp, sun], prepared))
-    other = tb.shade(g, material, [lamp, sun], effects=[AreaSampling(256)], generator=torch.Generator().manual_seed(2))
-    assert not torch.equal(other, rows.sum(0))
+    for seed in (1, 2):  # shade draws by the generator that it is given
+        other = tb.shade(g, material, [lamp, sun], effects=[AreaSampling(256)], generator=torch.Generator().manual_seed(seed))
+        assert torch.equal(other, plan(g, material, [lamp, sun], prepared)) == (seed == 1)
     off = tb.plan(g, material, sun, effects=[AreaSampling()], area="off")
     assert not off.calls_for("area")
+
+
+def test_a_visibility_counts_point_and_directional_lights_alone():
+    g, lamp, suns = plate(3, [0.0, 0.3, 1.0]), Square([0.0, 0.0, 2.0], 0.5, 3.0), tb.DirectionalLight([[0.0, 0.0, 1.0]] * 2, 0.5)
+    share = torch.tensor([0.5, 0.25]).reshape(2, 1, 1, 1)
+    rows = tb.shade(g, tb.Lambert(0.5), [lamp, suns], visibility=share, effects=[AreaSampling(1)], per_light=True)
+    torch.testing.assert_close(rows[1:], share * tb.shade(g, tb.Lambert(0.5), suns, per_light=True))
 
 
 def test_the_shader_takes_what_was_prepared():

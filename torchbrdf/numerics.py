@@ -172,17 +172,20 @@ def sum_of_products(*pairs: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
 def eta2_minus_sin2(cos_i: Tensor, eta: Tensor, k: Tensor | None = None, cos_low: Tensor | None = None) -> Tensor:
     """``eta^2 - k^2 - (1 - cos_i^2)``, the square of Fresnel's ``g``, accurate to the last bit wherever it cancels.
 
-    At the critical angle ``(eta - 1)(eta + 1) + cos^2`` loses every digit, so it is taken in twice the precision; ``cos_low`` is
+    At the critical angle the plain sum loses every digit, so it is taken in twice the precision; ``cos_low`` is
     what the cosine had to leave off, where that is known. Gradient: exactly (2 cos_i, 2 eta, -2 k).
     """
-    plain = (eta - 1.0) * (eta + 1.0) + cos_i * cos_i
-    c, n = cos_i.detach().to(plain.dtype), eta.detach().to(plain.dtype)
-    one = torch.ones_like(n)
-    (less, less_low), (more, more_low) = two_sum(n, -one), two_sum(n, one)
-    pairs = [(less, more), (c, c), (less, more_low), (more, less_low)]
+    slopes = eta * eta + cos_i * cos_i  # a small eta would lose its own in a product (eta - 1)(eta + 1)
+    c, n = cos_i.detach().abs().to(slopes.dtype), eta.detach().to(slopes.dtype)
+    # Cosine and index play the same part: of the larger one, 1 is taken off. Where anything cancels it lies in [0.5, 2], and the
+    # difference is exact.
+    small, large = torch.minimum(c, n), torch.maximum(c, n)
+    less = large - 1.0
+    more, more_low = two_sum(large, torch.ones_like(large))
+    pairs = [(less, more), (small, small), (less, more_low)]
     if k is not None:
-        plain = plain - k * k
-        pairs.insert(1, (k.to(plain.dtype), -k.to(plain.dtype)))
+        slopes = slopes - k * k
+        pairs.insert(1, (k.to(slopes.dtype), -k.to(slopes.dtype)))
     if cos_low is not None:
-        pairs.append((2.0 * c, cos_low))
-    return value_of(sum_of_products(*pairs)[0], plain)
+        pairs.append((2.0 * cos_i.detach(), cos_low))
+    return value_of(sum_of_products(*pairs)[0], slopes)

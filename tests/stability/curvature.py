@@ -13,7 +13,7 @@ from torch import Tensor
 from . import dual
 from .case import Case
 from .claims import claims_of
-from .errors import nonzero
+from .errors import floored
 from .measure import as_array, columns_of, total_of
 from .truth import contracted, second_representable, second_truth, truth_of
 
@@ -60,5 +60,5 @@ def compare(case: Case, dtype: torch.dtype, found: np.ndarray) -> Curvature:
     size = np.maximum(np.abs(exact).sum(2), np.abs(contracted(truth.values))[chosen][:, None])
     if case.vectors:
         size = np.maximum(size, dual.sqrt((exact * exact).sum((1, 2)))[:, None])
-    errors = (np.abs(found[chosen] - exact.sum(2)) / nonzero(size)).astype(np.float64)
+    errors = (np.abs(found[chosen] - exact.sum(2)) / floored(size, dtype)).astype(np.float64)
     return Curvature(not_finite, float(errors[claimed[chosen]].max()))

@@ -66,9 +66,14 @@ def slope_errors(case: Case, dtype: torch.dtype, truth: Truth, slopes: list[np.n
     if case.vectors:
         length = dual.sqrt(sum(t * t for t in truth.slopes))
         size = np.maximum(size, length)
-    size = np.maximum(size, gmpy2.mpfr(torch.finfo(dtype).smallest_normal))  # flushed to 0, or rounded to few bits, below
+    size = floored(size, dtype)
     errors = [np.abs(s - t) / np.maximum(np.abs(t), size) for s, t in zip(slopes, truth.slopes, strict=True)]
     return np.max([e.astype(np.float64) for e in errors], 0)
+
+
+def floored(size: np.ndarray, dtype: torch.dtype) -> np.ndarray:
+    """What an error is relative to: no less than the smallest normal number, below which results are flushed or lose bits."""
+    return np.maximum(size, gmpy2.mpfr(torch.finfo(dtype).smallest_normal))
 
 
 def nonzero(x: np.ndarray) -> np.ndarray:

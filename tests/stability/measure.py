@@ -10,7 +10,7 @@ from torch import Tensor
 from . import dual
 from .case import Case
 from .claims import claims_of
-from .errors import BITS, nonzero, relative, slope_errors, value_errors
+from .errors import BITS, floored, relative, slope_errors, value_errors
 from .truth import Truth, contracted, second_representable, second_truth, truth_of
 
 BAD = 1e-4  # a mixed error, relative or to the value, beyond this is called bad
@@ -132,5 +132,5 @@ def _compare_second(
     size = np.maximum(np.abs(exact), np.abs(contracted(truth.values))[chosen][:, None, None])
     if case.vectors:
         size = np.maximum(size, dual.sqrt((exact * exact).sum((1, 2)))[:, None, None])
-    errors = (np.abs(seconds[chosen] - exact) / nonzero(size)).astype(np.float64)
+    errors = (np.abs(seconds[chosen] - exact) / floored(size, dtype)).astype(np.float64)
     return len(bad), float(errors[claimed[chosen]].max())

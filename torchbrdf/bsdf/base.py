@@ -47,9 +47,8 @@ class Bsdf(Value):
         """As every value; and what it holds (Fresnel terms, other models) must have the same channels, or 1."""
         super().check_shapes()
         held = [v for v in self.nested() if isinstance(v, (Bsdf, Fresnel))]
-        counts = [("own parameters", self.own_channels), *((type(v).__name__, v.channels) for v in held)]
-        if len({c for _, c in counts} - {1}) > 1:
-            raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
+        counts = {"own parameters": self.own_channels, **{f"{k} {type(v).__name__}": v.channels for k, v in enumerate(held)}}
+        arguments.one_count(counts, f"{type(self).__name__}: different numbers of colour channels")
 
     # What a model says of itself ---------------------------------------------------------------------------------------
 
@@ -121,7 +120,9 @@ class Bsdf(Value):
     def pdf(self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False) -> Tensor:
         """Density ``[..., 1]`` per steradian with which :meth:`sample` gives ``wi`` for ``wo``; 0 outside the model's domain.
 
-        Integrates to 1, less the share of samples that are drawn outside the domain (their weight is 0) and the share of delta lobes.
+        Integrates to 1, less the share of samples that are drawn outside the domain (their weight is 0) and the share of delta lobes:
+        those have no density, and this is that of the other lobes alone, 0 for a :class:`Mirror`. A sample that came from a delta
+        reports in ``BSDFSample.pdf`` the discrete probability with which that lobe was chosen, not this.
         """
         from .sampler import mixture_density
 

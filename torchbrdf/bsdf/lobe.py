@@ -55,11 +55,11 @@ _WORDS = {1: "diffuse", 2: "glossy", 4: "delta", 8: "reflection", 16: "transmiss
 
 
 class BSDFSample(NamedTuple):
-    """What ``sample`` returns. ``pdf`` of a delta lobe is the discrete probability of choosing it."""
+    """What ``sample`` returns. Where ``lobe`` is a delta, ``pdf`` is the discrete probability of choosing it, elsewhere ``bsdf.pdf``."""
 
     wi: Tensor  # [..., 3] unit, in the frame of wo
     weight: Tensor  # [..., C] f |cos| / pdf; 0 outside the model's domain
-    pdf: Tensor  # [..., 1] per steradian of wi given wo; 0 outside the model's domain
+    pdf: Tensor  # [..., 1] per steradian of wi given wo, of a delta a probability; 0 outside the model's domain
     lobe: Tensor  # [..., 1] index into bsdf.lobes
     eta: Tensor  # [..., 1] n(side of wi) / n(side of wo): 1 for reflection
 

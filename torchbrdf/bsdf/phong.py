@@ -14,10 +14,13 @@ normalization  a name                N(s), below
 ==============  ======================  ========================================================================
 normalization   N(s)                    directional albedo (F = 1)
 ==============  ======================  ========================================================================
-``"none"``      1                       no energy bound above k = (s+2)/(2 pi): Phong 1975
+``"none"``      1                       no energy bound above k = (s+2)/(2 pi): Lewis 1993
 ``"bound"``     (s + 1) / (2 pi)        k (s+1)/(s+2) at normal incidence; the lecture's bound for every angle
 ``"modified"``  (s + 2) / (2 pi)        exactly k at normal incidence, at most k elsewhere: Lafortune & Willems 1994
 ==============  ======================  ========================================================================
+
+As any BRDF it is multiplied by the cosine at the surface. Phong 1975 adds the lobe to the radiance without one; Lewis 1993
+("Making shaders more physically plausible") gives the lobe as a BRDF, which the cosine multiplies.
 
 Not smooth at the edge of the lobe (wi.R = 0; for s <= 1 in the first derivative) nor, with a Fresnel term, for wi = -wo, where
 there is no half vector. The cosine is taken through its complement |R - wi|^2 / 2, because near the peak, where a large exponent

@@ -93,7 +93,8 @@ class Surface(NamedTuple):
         tangent = None if g.tangent is None else parts(g.tangent)
         handedness = None if g.handedness is None else layout.lift(g.handedness.squeeze(-1))
         mask = None if g.mask is None else layout.lift(g.mask.squeeze(-1))
-        position = Vec(*map(numerics.finite_or_zero, parts(g.position)))
+        missing = (None,) * (len(g.batch_shape) + 1 - g.position.dim())  # lights stand before the axes of all points
+        position = Vec(*map(numerics.finite_or_zero, parts(g.position[missing] if missing else g.position)))
         return Surface(position, Viewer(wo, n, tangent, handedness, layout), mask, g.batch_shape)
 
     def cosine(self, bsdf: Bsdf, g: Geometry) -> Tensor:

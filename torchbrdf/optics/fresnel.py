@@ -28,8 +28,9 @@ from ..geometry import Channels, Layout, each
 from ..interval import UNIT, Interval
 from ..value import COLOUR, Value, param, value
 from ..vector import stack
+from .amplitudes import Amplitudes, amplitudes, at_edge, refracted
 
-__all__ = ["amplitudes", "conductor", "dielectric", "refraction_cosine", "schlick"]
+__all__ = ["Amplitudes", "amplitudes", "conductor", "dielectric", "refraction_cosine", "schlick"]
 ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0), flat=(1.0,))
 
 
@@ -43,20 +44,7 @@ def dielectric(cos_i: Tensor, eta: Tensor | float) -> Tensor:
     at = _interface(c, n)
     r_s, r_p = (numerator / (denominator * denominator) for numerator, denominator in (at.perpendicular(), at.parallel()))
     exact = numerics.at_most(0.5 * (r_s * r_s + r_p * r_p), 1.0)
-    return numerics.rounded_back(at.elsewhere(exact, total=1.0), dtype)
-
-
-def amplitudes(cos_i: Tensor, eta: Tensor | float) -> tuple[Tensor, Tensor]:
-    """Amplitude ratios ``(r_s, r_p)`` of a dielectric interface, each in [-1, 1]; ``r_p = -r_s`` at normal incidence.
-
-    ``cos_i`` in [0, 1], ``eta`` > 0, broadcast. Under total internal reflection, where the ratios are complex, their modulus 1,
-    with gradient 0; 0 everywhere at eta = 1. Accurate to the last bits on both sides of Brewster's angle, where r_p changes sign.
-    """
-    (c, n), dtype = numerics.working(cos_i, eta)
-    at = _interface(c, n)
-    (top_s, a), (top_p, b) = at.perpendicular(), at.parallel(every_digit=True)
-    r_s, r_p = (at.elsewhere(numerics.at_least(x, -1.0), total=1.0) for x in (-top_s / (a * a), top_p / (b * b)))
-    return numerics.rounded_back(r_s, dtype), numerics.rounded_back(r_p, dtype)
+    return numerics.rounded_back(at.elsewhere(exact, matched=0.0, total=1.0), dtype)
 
 
 def refraction_cosine(cos_i: Tensor, eta: Tensor | float) -> Tensor:
@@ -66,12 +54,13 @@ def refraction_cosine(cos_i: Tensor, eta: Tensor | float) -> Tensor:
     """
     (c, n), dtype = numerics.working(cos_i, eta)
     at = _interface(c, n)
-    cos_t = torch.where(at.matched, at.cos, torch.where(at.partial, at.g / n, 0.0))
+    ratio = at.g / n
+    cos_t = at.elsewhere(numerics.value_of(torch.where(at.matched, at.cos, ratio), ratio), matched=at.cos, total=0.0)
     return numerics.rounded_back(numerics.at_most(cos_t, 1.0), dtype)
 
 
 class _Interface(NamedTuple):
-    """What the amplitudes of a dielectric share. ``partial``: neither total reflection nor matched media; elsewhere g is 1."""
+    """What the amplitudes of a dielectric share. ``partial``: no total reflection, nor grazing matched media; elsewhere g is 1."""
 
     cos: Tensor
     eta: Tensor
@@ -85,40 +74,30 @@ class _Interface(NamedTuple):
         delta, a = (self.eta - 1.0) * (self.eta + 1.0), self.cos + self.g
         return torch.where(self.grazing, numerics.value_of(delta, (self.g - self.cos) * a), delta), a
 
-    def parallel(self, every_digit: bool = False) -> tuple[Tensor, Tensor]:
-        """``(delta (eta^2 c^2 - s^2), B)`` of ``r_p``, the quotient by ``B^2``; the difference compensated if asked for."""
+    def parallel(self) -> tuple[Tensor, Tensor]:
+        """``(delta (eta^2 c^2 - s^2), B)`` of ``r_p``, the quotient by ``B^2``."""
         c, n = self.cos, self.eta
         delta, along = (n - 1.0) * (n + 1.0), n * n * c
         b = along + self.g
         s2 = (1.0 - c) * (1.0 + c)
         difference = torch.where(n < 1.0, self.g * self.g - n * n * s2, along * c - s2)  # whichever subtracts the smaller terms
-        if every_digit:
-            difference = numerics.value_of(_brewster_difference(c, n), difference)
         top = delta * difference
         return torch.where(self.grazing, numerics.value_of(top, (along - self.g) * b), top), b
 
-    def elsewhere(self, result: Tensor, total: float) -> Tensor:
-        """The result of a partial reflection, ``total`` under total reflection, 0 between matched media."""
-        return torch.where(self.partial, result, torch.where(self.matched, 0.0, total))
+    def elsewhere(self, result: Tensor, matched: Tensor | float, total: float) -> Tensor:
+        """The result of a partial reflection; ``matched`` where matched media graze, ``total`` under total reflection."""
+        return torch.where(self.partial, result, torch.where(self.matched, matched, total))
 
 
 def _interface(c: Tensor, n: Tensor) -> _Interface:
     c = numerics.unit_interval(c)
     g2 = numerics.eta2_minus_sin2(c, n)
-    matched = n == 1
-    partial = (g2 > 0) & ~matched
+    # Not 0: between matched media g^2 = c^2, and slopes by eta grow as 1/c^2. Otherwise it is 0 or above by far.
+    partial = g2 > numerics.tiny(g2.dtype)
     g = torch.sqrt(torch.where(partial, g2, 1.0))
     # Each numerator has two forms, equal in exact arithmetic. Derivatives by eta of delta/A^2 cancel for c << g, those by c of
     # (g - c)/A for c ~ g; here each is used where it is accurate, for its derivatives: the value is that of the first.
-    return _Interface(c, n, g, partial, matched, 16.0 * c * c < g2)
-
-
-def _brewster_difference(c: Tensor, n: Tensor) -> Tensor:
-    """``eta^2 c^2 - (1 - c^2)`` in twice the precision: all digits cancel at Brewster's angle."""
-    c, n = torch.broadcast_tensors(c.detach(), n.detach().to(c.dtype))
-    x, one = n * c, torch.ones_like(c)
-    low = numerics.product_error(n, c, x)
-    return numerics.sum_of_products((one, -one), (x, x), (c, c), (x, 2.0 * low))[0]
+    return _Interface(c, n, g, partial, n == 1, 16.0 * c * c < g2)
 
 
 def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
@@ -128,16 +107,18 @@ def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
     """
     (c, n, k), dtype = numerics.working(cos_i, eta, k)
     c = numerics.unit_interval(c)
-    vacuum = (n == 1) & (k == 0)
-    s2 = (1.0 - c) * (1.0 + c)
-    a, b = _refracted_root(numerics.eta2_minus_sin2(c, n, k), n * k)
-    a = torch.where(vacuum, 1.0, a)
+    (a, b), edge = refracted(c, n, k)
     senkrecht = _perpendicular(c, a, b, (n - 1.0) * (n + 1.0) - k * k, 2.0 * n * k)
-    ac, b2c2 = a * c, b * b * c * c
-    below = (ac + s2) * (ac + s2) + b2c2
-    nothing = below == 0  # eta so small that its square underflows, at normal incidence
-    quotient = torch.where(nothing, 1.0, ((ac - s2) * (ac - s2) + b2c2) / torch.where(nothing, 1.0, below))
-    return numerics.rounded_back(torch.where(vacuum, 0.0, numerics.at_most(0.5 * senkrecht * (1.0 + quotient), 1.0)), dtype)
+    both = 0.5 * senkrecht * (1.0 + _parallel_share(c, a, b))
+    return numerics.rounded_back(torch.where(edge, at_edge(n), numerics.at_most(both, 1.0)), dtype)
+
+
+def _parallel_share(c: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    """R_p / R_s."""
+    ac, bc, s2 = a * c, b * c, (1.0 - c) * (1.0 + c)
+    scale = 1.0 / torch.maximum(torch.maximum(ac, bc), s2).detach()  # squares of a tiny index underflow at normal incidence
+    ac, b2c2, s2 = ac * scale, (bc * scale) ** 2, s2 * scale
+    return ((ac - s2) ** 2 + b2c2) / ((ac + s2) ** 2 + b2c2)
 
 
 def _perpendicular(c: Tensor, a: Tensor, b: Tensor, real: Tensor, imag: Tensor) -> Tensor:
@@ -147,20 +128,6 @@ def _perpendicular(c: Tensor, a: Tensor, b: Tensor, real: Tensor, imag: Tensor) 
     below = (a + c) * (a + c) + b * b
     above = torch.where(4.0 * c < 1.0, ((a - c) * (a - c) + b * b) * below, real * real + imag * imag)
     return above / (below * below)
-
-
-def _refracted_root(real: Tensor, half_imag: Tensor) -> tuple[Tensor, Tensor]:
-    """``sqrt(real + 2i half_imag)`` = a + ib: the part that does not cancel by a square root, the other by division."""
-    degenerate = (real == 0) & (half_imag == 0)
-    t = torch.where(degenerate, 1.0, real)
-    modulus = torch.hypot(t, 2.0 * half_imag)
-    forward = t >= 0
-    # not t.abs(), whose slope of 0 at 0 would halve the gradient there
-    large = torch.sqrt(0.5 * (modulus + torch.where(forward, t, -t)))
-    small = half_imag / large
-    a = torch.where(forward, large, small)
-    b = torch.where(forward, small, large)
-    return torch.where(degenerate, 0.0, a), torch.where(degenerate, 0.0, b)
 
 
 def schlick(cos_i: Tensor, f0: Tensor | float) -> Tensor:

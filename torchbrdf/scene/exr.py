@@ -30,7 +30,7 @@ from .. import arguments, vector
 from ..io.exr import read_exr, write_exr
 from .camera import Camera
 from .gbuffer import GBuffer
-from .passes import Pass, group, is_blender, recognise
+from .passes import Pass, check_fields, group, is_blender, recognise
 
 FAR = 1e9  # Blender writes 1e10 where there is no surface
 WHOLE = 0.95  # length of an averaged normal from which a pixel counts as one surface
@@ -76,8 +76,8 @@ def load_gbuffer(path: str | Path, camera: Camera | None = None, names: Mapping[
     groups = group(layers)
     flat = layers.get("", {})
     try:
-        if not names and set(flat) >= _OURS:
-            fields, notes = _own(flat), ["own G-buffer"]
+        if set(flat) >= _OURS:  # the file's own channels say whose it is, not what the caller says about them
+            fields, notes = _own(flat, names or {}), ["own G-buffer"]
             _add_view(fields, camera, notes)
         else:
             fields, notes = _foreign(recognise(groups, names), camera, is_blender(groups))
@@ -91,12 +91,16 @@ def _name(field: str, letter: str) -> str:
     return f"{field}.{letter}" if letter.strip() else field
 
 
-def _own(flat: Mapping[str, Any]) -> dict[str, Tensor]:
+def _own(flat: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Tensor]:
+    """The fields of one of our own files; ``names`` (field -> layer) may have one read from another's channels."""
+    check_fields(names, _CHANNELS)
     fields = {}
     for field, letters in _CHANNELS.items():
-        channels = [_name(field, c) for c in letters or " "]
+        channels = [_name(names.get(field, field), c) for c in letters or " "]
         if all(c in flat for c in channels):
             fields[field] = _typed(field, vector.stack([torch.from_numpy(flat[c]) for c in channels]))
+        elif field in names:
+            raise ValueError(f"names: no channels {channels} for the {field}")
     return fields
 
 

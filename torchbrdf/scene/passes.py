@@ -1,6 +1,6 @@
 """Which pass of an EXR file is which: layers by name, for the files of renderers that each name them in their own way."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -56,12 +56,17 @@ def is_blender(groups: Groups) -> bool:
     return bool(_BLENDER & {label.rpartition(".")[2] for label in groups})
 
 
+def check_fields(names: Mapping[str, str], legal: Collection[str]) -> None:
+    """Whether ``names`` speaks of fields that can be read."""
+    unknown = sorted(set(names) - set(legal))
+    if unknown:
+        raise ValueError(f"names: unknown fields {unknown}, legal are {sorted(legal)}")
+
+
 def recognise(groups: Groups, names: Mapping[str, str] | None) -> dict[str, Pass]:
     """The passes of a G-buffer among the layers; ``names`` (field -> layer) goes before the usual names."""
     chosen = dict(names or {})
-    unknown = sorted(set(chosen) - set(USUAL))
-    if unknown:
-        raise ValueError(f"names: unknown fields {unknown}, legal are {sorted(USUAL)}")
+    check_fields(chosen, USUAL)
     found = {}
     for field in USUAL:
         labels = _named(groups, field, chosen[field]) if field in chosen else _usual(groups, field)
