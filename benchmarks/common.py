@@ -106,7 +106,9 @@ def need_agreement(rival: str, found: dict[str, Tensor], truth: dict[str, Tensor
 def machine(threads: int) -> str:
     """What it ran on, in one line."""
     vectors = torch.backends.cpu.get_cpu_capability()
-    return f"{platform.machine()} CPU ({vectors}), {threads} threads, float32; Python {platform.python_version()}, torch {torch.__version__}"
+    return (
+        f"{platform.machine()} CPU ({vectors}), {threads} threads, float32; Python {platform.python_version()}, torch {torch.__version__}"
+    )
 
 
 def version(package: str) -> str:

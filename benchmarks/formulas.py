@@ -94,13 +94,16 @@ def agreed(found: dict[str, Rival], normal: Tensor, part: float, dj: DrJit | Non
 
 
 def measure(name: str, count: int, rounds: int, dj: DrJit | None) -> str:
-    """The table of one workload: all numbers agree in float64; 90 % in float32, where the textbook's own rounding passes 1e-5."""
+    """The table of one workload. All numbers of the eager rivals must agree in float64; 90 % of everybody's in float32."""
     print(f"{name}: differences from the textbook")
     for dtype, size, part in ((torch.float64, 1000, 1.0), (torch.float32, count, 0.9)):
         torch.compiler.reset()
         weight = torch.rand(size, 3, generator=torch.Generator().manual_seed(1), dtype=dtype)
         p = workloads.points(name, size, dtype)
-        found = agreed(rivals(name, p, weight, dj), p["normal"], part, dj)
+        found = rivals(name, p, weight, dj)
+        if dtype == torch.float64:  # compiling for this as well would double the minutes
+            found = {who: rival for who, rival in found.items() if "eager" in who}
+        agreed(found, p["normal"], part, dj)
     runs: Race = {(who, BOTH): rival.both for who, rival in found.items()}
     runs |= {(who, FORWARD): rival.forward for who, rival in found.items() if rival.forward}
     return comparison(race(runs, rounds, name), [FORWARD, BOTH], "textbook eager", DRJIT if dj else None)
