@@ -30,11 +30,11 @@ def steady() -> None:
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **ALLOCATOR})
 
 
-def options(doc: str | None, points: int, rounds: int) -> argparse.ArgumentParser:
+def options(doc: str | None, points: int, rounds: int, threads: int = 2) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=points, help="points or pixels, about")
     parser.add_argument("--rounds", type=int, default=rounds, help="timed rounds")
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--threads", type=int, default=threads)
     parser.add_argument("--write", action="store_true", help="put the tables into docs/benchmark.md")
     return parser
 
@@ -105,10 +105,9 @@ def need_agreement(rival: str, found: dict[str, Tensor], truth: dict[str, Tensor
 
 def machine(threads: int) -> str:
     """What it ran on, in one line."""
-    vectors = torch.backends.cpu.get_cpu_capability()
-    return (
-        f"{platform.machine()} CPU ({vectors}), {threads} threads, float32; Python {platform.python_version()}, torch {torch.__version__}"
-    )
+    cpu = f"{platform.machine()} CPU ({torch.backends.cpu.get_cpu_capability()})"
+    used = f"{threads} thread{'s' * (threads > 1)}"
+    return f"{cpu}, {used}, float32; Python {platform.python_version()}, torch {torch.__version__}"
 
 
 def version(package: str) -> str:

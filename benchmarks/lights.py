@@ -24,9 +24,8 @@ COUNTS, KINDS = (1, 8, 64), ("numbers", "learned")
 def numbers(count: int) -> tuple[list[list[float]], list[list[float]]]:
     """Positions on a spiral above the sheet, and intensities that add up to one light's."""
     turns = [2.4 * k for k in range(count)]
-    return [[1.5 * math.cos(t), 1.5 * math.sin(t), 2.0 + k / count] for k, t in enumerate(turns)], [
-        [20 / count, 18 / count, 16 / count]
-    ] * count
+    positions = [[1.5 * math.cos(t), 1.5 * math.sin(t), 2.0 + k / count] for k, t in enumerate(turns)]
+    return positions, [[20 / count, 18 / count, 16 / count]] * count
 
 
 def shaded(s: dict[str, Tensor], light: tb.PointLight) -> Tensor:
@@ -64,14 +63,14 @@ def main() -> None:
     torch._dynamo.config.automatic_dynamic_shapes = False  # each count as it is where it is the only one
     side = round(math.sqrt(args.points))
     s = {k: tb.planar(v) for k, v in scene(side, torch.float32).items()}
-    runs = {
-        (kind, str(count)): partial(gradients, tb.compile(shaded), s, light) for count in COUNTS for kind, light in lights(count).items()
-    }
+    every = [(count, kind, light) for count in COUNTS for kind, light in lights(count).items()]
+    runs = {(kind, str(count)): partial(gradients, tb.compile(shaded), s, light) for count, kind, light in every}
     seconds = {k: first_call(run) for k, run in runs.items()}
     times = race(runs, args.rounds, "lights")
     head = ["lights", *(f"{kind}: {cell}" for kind in KINDS for cell in ("ms a light", "of one light's", "first call, s"))]
     rows = [row(count, times, seconds) for count in COUNTS]
-    intro = f"{side} × {side} pixels, forward + backward, compiled, {args.rounds} rounds, {machine(args.threads)}. Medians, quartiles in brackets."
+    what = f"{side} × {side} pixels, forward + backward, compiled, {args.rounds} rounds"
+    intro = f"{what}, {machine(args.threads)}. Medians, quartiles in brackets."
     publish("lights", f"{intro}\n\n{table([*head, 'learned / numbers'], rows)}", args.write)
 
 

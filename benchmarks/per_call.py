@@ -96,7 +96,7 @@ def rows(side: int, rounds: int) -> list[list[str]]:
 
 
 def main() -> None:
-    args = options(__doc__, points=4096, rounds=200).parse_args()
+    args = options(__doc__, points=4096, rounds=200, threads=1).parse_args()
     torch.set_num_threads(args.threads)
     side = round(math.sqrt(args.points))
     head = ["eager", "call: operations", "ms", "time / hand-written", "training step: operations", "ms", "time / hand-written"]

@@ -34,9 +34,10 @@ def points(name: str, count: int, dtype: torch.dtype, exponent: tuple[float, flo
     wo = F.normalize(n + 0.8 * F.normalize(torch.randn(count, 3, generator=gen, dtype=torch.float64), dim=-1), dim=-1)
     wi = F.normalize(2 * (n * wo).sum(-1, keepdim=True) * n - wo + 0.4 * torch.randn(count, 3, generator=gen, dtype=torch.float64), dim=-1)
     found = {"wi": wi, "wo": wo, "normal": n, "albedo": rand(3), "specular": rand(3), "exponent": rand(1, *exponent)}
-    found |= {"W1": {"f0": rand(3, 0.02, 0.3)}, "W1x": {"eta": rand(3, 1.3, 2.0)}, "W1c": {"eta": rand(3, 0.2, 3), "k": rand(3, 1, 6)}}[
-        name
-    ]
+    if name == "W1c":
+        found |= {"eta": rand(3, 0.2, 3.0), "k": rand(3, 1.0, 6.0)}
+    else:
+        found |= {"eta": rand(3, 1.3, 2.0)} if name == "W1x" else {"f0": rand(3, 0.02, 0.3)}
     return {k: v.to(dtype) for k, v in found.items()}
 
 
