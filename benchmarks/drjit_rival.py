@@ -64,7 +64,7 @@ class DrJit:
         def gradients(learned: dict[str, Any], rest: dict[str, Any], weight: Any) -> dict[str, Any]:
             own = {name: type(v)(v) for name, v in learned.items()}
             dr.enable_grad(own)
-            dr.backward(dr.dot(formula(self, {**own, **rest}), weight))
+            dr.backward(dr.dot(formula(self, {**rest, **own}), weight))
             return {name: dr.grad(v) for name, v in own.items()}
 
         frozen = dr.freeze(gradients)
