@@ -110,14 +110,23 @@ def normalize_components(v: Vec) -> Vec:
 
 
 def unit_components(v: Tensor) -> Vec:
-    """``[..., 3]`` to unit length and apart, as :func:`normalize_components`, with fewer operations."""
+    """``[..., 3]`` to unit length and apart, as :func:`normalize_components`; eagerly with fewer operations."""
+    if torch.compiler.is_compiling():  # components fuse into one loop, a reduction over an axis of 3 does not
+        return normalize_components(components(v))
     largest = v.detach().abs().amax(-1)
-    return _unit(components(numerics.finite_or_zero(v)), largest)
+    return _unit(finite_components(v), largest)
+
+
+def finite_components(v: Tensor) -> Vec:
+    """``[..., 3]`` apart, with 0, and gradient 0, for what is not finite; eagerly in one operation."""
+    if torch.compiler.is_compiling():
+        return Vec(*map(numerics.finite_or_zero, components(v)))
+    return components(numerics.finite_or_zero(v))
 
 
 def _unit(v: Vec, largest: Tensor) -> Vec:
     """Of vectors whose components are finite, or were not and now are; of those ``largest`` is infinite or NaN."""
-    u = scale(v, _shrink(torch.nan_to_num(largest, math.inf, math.inf)))
+    u = scale(v, _shrink(torch.where(largest < math.inf, largest, math.inf)))
     return scale(u, _inverse_length(u))
 
 

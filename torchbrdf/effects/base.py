@@ -94,7 +94,7 @@ class Surface(NamedTuple):
         handedness = None if g.handedness is None else layout.lift(g.handedness.squeeze(-1))
         mask = None if g.mask is None else layout.lift(g.mask.squeeze(-1))
         missing = (None,) * (len(g.batch_shape) + 1 - g.position.dim())  # lights stand before the axes of all points
-        position = lifted(vector.components(numerics.finite_or_zero(numerics.widen(g.position[missing] if missing else g.position))))
+        position = lifted(vector.finite_components(numerics.widen(g.position[missing] if missing else g.position)))
         return Surface(position, Viewer(wo, n, tangent, handedness, layout), mask, g.batch_shape)
 
     def cosine(self, bsdf: Bsdf, g: Geometry) -> Tensor:
