@@ -347,11 +347,7 @@ def branches_on_data(original: Any) -> Any:
 def naive_normalise(_: Any) -> Any:
     """Divides by the norm: 0/0 for a zero vector."""
 
-    def normalise(v: Any) -> Any:
-        length = torch.sqrt(vector.dot(v, v))
-        return Vec(v.x / length, v.y / length, v.z / length)
-
-    return normalise
+    return lambda v: vector.components(v / torch.linalg.vector_norm(v, dim=-1, keepdim=True))
 
 
 def naive_sqrt(_: Any) -> Any:
@@ -429,7 +425,7 @@ FAULTS = (
     Fault("computes in half precision", "dtypes", numerics, "widen", computed_in_half, _phong),
     Fault("bias on the cosine", "dtypes", geometry.Geometry, "mirror_complement", float32_cosine, lambda: tb.Phong(1.0, 200.0)),
     Fault("branches on data", "compiles", lambert.Lambert, "formula", branches_on_data, _lambert),
-    Fault("0/0 for a zero normal", "hard_cases", vector, "normalize_components", naive_normalise, _lambert),
+    Fault("0/0 for a zero normal", "hard_cases", vector, "unit_components", naive_normalise, _lambert),
     Fault("sqrt at 0", "hard_cases", numerics, "safe_sqrt", naive_sqrt, _phong),
     Fault("textbook dielectric", "hard_cases", fresnel, "dielectric", textbook_dielectric, _dielectric),
 )
