@@ -1,14 +1,14 @@
 r"""Conductors of complex index :math:`\eta + ik`: the exact reflectance, by several methods.
 
-With :math:`c = \cos\theta_i`, :math:`s^2 = (1-c)(1+c)`, :math:`z^2 = (\eta + ik)^2 - s^2`, :math:`a` the real part of z and :math:`m = |z|^2`:
+With :math:`c = \cos\theta_i`, :math:`s^2 = (1-c)(1+c)`, :math:`z^2 = (\eta + ik)^2 - s^2`, a the real part of z and m = \|z\|^2:
 
-:math:`F = R_s\,u/(u + w)`, :math:`R_s = |z^2 - c^2|^2/d^2`, :math:`d = |z + c|^2 = m + c^2 + 2ac`, :math:`u = c^2 m + s^4`, :math:`w = 2acs^2`,
+:math:`F = R_s\,u/(u + w)` with :math:`R_s = |z^2 - c^2|^2/d^2`, :math:`d = |z + c|^2 = m + c^2 + 2ac`,
+:math:`u = c^2 m + s^4` and :math:`w = 2acs^2`,
 
 as R_p = R_s (u - w)/(u + w): Born & Wolf 1999, sec. 14.2, so arranged that of z its real part is enough. All cancellation is in
 Re z^2, which alone is taken in more digits.
 """
 
-import functools
 import math
 from collections.abc import Callable
 
@@ -53,10 +53,12 @@ def _from_real_part(c: Tensor, n: Tensor, k: Tensor, real: Tensor) -> Tensor:
     lost = a2 * cos
     d = m + cos * cos + lost
     x, y = z2_less_c2 / d, imag / d
-    r_s = torch.where(16.0 * cos * cos < m, 1.0 - 2.0 * lost / d, x * x + y * y)  # each where its slopes do not cancel
+    # Each where its slopes do not cancel. By numbers for masks, as a mask kept for the backward pass would not be vectorised.
+    r_s = torch.lerp(x * x + y * y, 1.0 - 2.0 * lost / d, numerics.step(m - 16.0 * cos * cos))
     u = c * c * m + s2 * s2
     found = numerics.at_most(r_s * (u / (u + a2 * c * s2)), 1.0)
-    return torch.where(m2 > 0, found, at_edge(n))
+    inside = numerics.step(m2)
+    return found * inside + (1.0 - inside) * at_edge(n)
 
 
 def _lift(real: Tensor, half_imag: Tensor) -> Tensor:
@@ -69,7 +71,6 @@ def _lift(real: Tensor, half_imag: Tensor) -> Tensor:
     return 1.0 + power * small.to(real.dtype)  # exactly the power: 1 is less than half of its last bit
 
 
-@functools.cache
 def _lifts(dtype: torch.dtype) -> tuple[float, float]:
     """Below what z^2 is lifted, and by how much z is: the smallest number of the dtype, times its square, to the root of a normal one."""
     least = numerics.negligible(dtype)

@@ -1,8 +1,8 @@
 r"""Dielectrics: the exact reflectance, by several methods, and the refracted cosine.
 
-With :math:`c = \cos\theta_i`, :math:`s^2 = (1-c)(1+c)`, :math:`\delta = (\eta-1)(\eta+1)`, :math:`g = \sqrt{\delta + c^2}`, :math:`A = c+g`:
+With :math:`c = \cos\theta_i`, :math:`s^2 = (1-c)(1+c)`, :math:`\delta = (\eta-1)(\eta+1)`, :math:`g = \sqrt{\delta + c^2}`:
 
-:math:`F = (\delta/A^2)^2 (1 - 2q(1-q))` with :math:`q = cg/(cg + s^2)`.
+:math:`F = (\delta/A^2)^2 (1 - 2q(1-q))` with :math:`A = c+g`, :math:`q = cg/(cg + s^2)`.
 
 :math:`\delta/A^2` is the amplitude r_s but for its sign, and r_p = r_s (s^2 - cg)/(s^2 + cg). Nothing here cancels and nothing underflows
 but g^2 at the critical angle: that sum alone is taken in more digits.

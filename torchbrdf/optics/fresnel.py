@@ -128,7 +128,7 @@ class Conductor(Fresnel):
     def textbook(m: Any, cos: Any, eta: Any, k: Any, method: str = "standard") -> Any:
         """Born & Wolf 1999, sec. 14.2: by a + ib, the root of (eta + ik)^2 - sin^2, in real numbers."""
         real, imag = eta * eta - k * k - (1 - cos * cos), 2 * eta * k
-        nothing = ~(m.positive(real * real) | m.positive(imag))  # at the critical angle
+        nothing = ~(m.positive(real) | m.positive(-1 * real) | m.positive(imag))  # at the critical angle
         real = m.where(nothing, 1, real)
         forward = m.positive(real)
         large = m.sqrt((m.sqrt(real * real + imag * imag) + m.where(forward, real, -1 * real)) / 2)
