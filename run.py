@@ -7,7 +7,8 @@ python3 run.py slow [options]      the slow tests: full grids, chi2, compilation
 python3 run.py oldest [options]    the same tests on the lowest versions that pyproject.toml states, in .venv-oldest (Python 3.11, 3.12)
 python3 run.py check               ruff (lint and format) and mypy
 python3 run.py stability [options] measure every formula against exact arithmetic (docs/stability.md)
-python3 run.py bench [options]     what shading costs beside textbook code (benchmarks/shade.py)
+python3 run.py ledger [options]    what accuracy costs: every method of every law (docs/accuracy-cost.md), about six minutes
+python3 run.py bench [options]     what it all costs beside textbook code and Dr.Jit; writes the figures of docs/benchmark.md
 """
 
 import hashlib
@@ -27,7 +28,8 @@ TASKS = {
     "oldest": ("test", [["-m", "pytest"]]),
     "check": ("dev", [["-m", "ruff", "check", "."], ["-m", "ruff", "format", "--check", "."], ["-m", "mypy"]]),
     "stability": ("test", [["tests/stability"]]),
-    "bench": ("bench", [["benchmarks/shade.py"]]),
+    "ledger": ("bench", [["-m", "torchbrdf.ledger"]]),
+    "bench": ("bench", [[f"benchmarks/{name}.py", "--write"] for name in ("formulas", "shade", "per_call", "lights")]),
 }
 
 

@@ -1,31 +1,27 @@
 """What `shade` costs beside textbook code: Lambert + Schlick * Phong at one million pixels, one point light, float32.
 
-    python benchmarks/shade.py [--side 1024] [--repeat 15] [--threads 2]
+    python benchmarks/shade.py [--points 1000000] [--rounds 15] [--threads 2] [--write]
 
 The rival is competent eager PyTorch on interleaved [N, 3] memory: the same G-buffer, mask and light. Values and gradients are
 checked to agree to 1e-5 before anything is timed, all of them in float64 and 99 % of them in the float32 that is timed
-(there the textbook's own rounding passes 1e-5 in a few pixels). Rivals are interleaved, so that a noisy machine disturbs all
-alike; medians and ratios are printed (ratios hold from machine to machine, milliseconds do not).
+(there the textbook's own rounding passes 1e-5 in a few pixels). "Bare formula" is what is left of `shade` when unit vectors are
+given and there is no light, no mask and no plan: benchmarks/formulas.py checks and times it by itself.
 """
 
-import argparse
 import math
-import os
-import statistics
-import sys
-import time
 from collections.abc import Callable
+from functools import partial
 
 import torch
 import torch.nn.functional as F
+import workloads
+from common import Race, comparison, machine, need_agreement, options, publish, race, steady
 from torch import Tensor
-from tqdm import tqdm
 
 import torchbrdf as tb
 
-# glibc is told to keep what is freed: else every rival's time is mostly page faults, more or fewer as it happens to trim.
-ALLOCATOR = {"MALLOC_TRIM_THRESHOLD_": str(2**33), "MALLOC_MMAP_THRESHOLD_": str(2**25), "MALLOC_TOP_PAD_": str(2**28)}
 LIGHT, INTENSITY = (1.5, 2.0, 3.0), (20.0, 18.0, 16.0)
+FORWARD, BOTH = "forward", "forward + backward"
 
 
 def scene(side: int, dtype: torch.dtype) -> dict[str, Tensor]:
@@ -78,74 +74,69 @@ def textbook(s: dict[str, Tensor]) -> Tensor:
     return torch.where(s["mask"] & (cos_i > 0) & (cos_o > 0), radiance, 0.0)
 
 
+def material(s: dict[str, Tensor]) -> tb.Bsdf:
+    return tb.Lambert(s["albedo"]) + tb.Phong(s["specular"], s["exponent"], fresnel=tb.Schlick(s["f0"]))
+
+
+def gbuffer(s: dict[str, Tensor]) -> tb.GBuffer:
+    return tb.GBuffer(position=s["position"], normal=s["normal"], view=s["view"], mask=s["mask"])
+
+
 def ours(s: dict[str, Tensor]) -> Tensor:
-    g = tb.GBuffer(position=s["position"], normal=s["normal"], view=s["view"], mask=s["mask"])
-    brdf = tb.Lambert(s["albedo"]) + tb.Phong(s["specular"], s["exponent"], fresnel=tb.Schlick(s["f0"]))
-    return tb.shade(g, brdf, tb.PointLight(LIGHT, INTENSITY))
+    return tb.shade(gbuffer(s), material(s), tb.PointLight(LIGHT, INTENSITY))
 
 
-def with_gradients(fn: Callable[[dict[str, Tensor]], Tensor], s: dict[str, Tensor]) -> list[Tensor]:
+def bare_scene(s: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The unit vectors that `shade` computes, given."""
+    wi = F.normalize(torch.tensor(LIGHT, dtype=s["position"].dtype) - s["position"], dim=-1)
+    return {"wi": tb.planar(wi), "wo": s["view"], **{name: s[name] for name in LEARNED}}
+
+
+def with_gradients(fn: Callable[[dict[str, Tensor]], Tensor], s: dict[str, Tensor]) -> dict[str, Tensor]:
     leaves = {k: v.detach().requires_grad_(k in LEARNED) for k, v in s.items()}
     out = fn(leaves)
-    return [out.detach(), *torch.autograd.grad(out.sum(), [leaves[k] for k in LEARNED])]
+    return {"radiance": out.detach(), **dict(zip(LEARNED, torch.autograd.grad(out.sum(), [leaves[k] for k in LEARNED]), strict=True))}
 
 
 Rivals = dict[str, tuple[Callable[[dict[str, Tensor]], Tensor], dict[str, Tensor]]]
 
 
-def check(rivals: Rivals, part: float) -> None:
-    """Stop unless a part of all values and gradients agrees with the textbook to 1e-5 of their magnitude plus the mean one."""
-    truth = with_gradients(*rivals["textbook eager"])
-    for name, (fn, s) in rivals.items():
-        for what, a, b in zip(("radiance", *LEARNED), with_gradients(fn, s), truth, strict=True):
-            difference = ((a - b).abs() / (b.abs() + b.abs().mean())).reshape(-1)
-            worst = float(difference.kthvalue(max(1, round(part * difference.numel()))).values)
-            print(f"  {name:<16} {what:<9} {str(a.dtype)[6:]} differs by {worst:.1e}")
-            if not worst < 1e-5:
-                raise SystemExit(f"{name}: {what} disagrees with the textbook; nothing was timed")
+def rivals(side: int, dtype: torch.dtype) -> Rivals:
+    interleaved = scene(side, dtype)
+    flat = {k: tb.planar(v) for k, v in interleaved.items()}
+    return {"textbook eager": (textbook, interleaved), "ours eager": (ours, flat), "ours compiled": (tb.compile(ours), flat)}
 
 
-def time_once(fn: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    fn()
-    return (time.perf_counter() - start) * 1e3
+def agreed(found: Rivals, part: float) -> Rivals:
+    """The same, checked: part of all values and gradients agrees with the textbook to 1e-5 of their magnitude plus the mean one."""
+    truth = with_gradients(*found["textbook eager"])
+    for name, (fn, s) in found.items():
+        need_agreement(name, with_gradients(fn, s), truth, part)
+    return found
+
+
+def no_grad(fn: Callable[[dict[str, Tensor]], Tensor], s: dict[str, Tensor]) -> Tensor:
+    with torch.no_grad():
+        return fn(s)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--side", type=int, default=1024)
-    parser.add_argument("--repeat", type=int, default=15)
-    parser.add_argument("--threads", type=int, default=2)
-    args = parser.parse_args()
+    args = options(__doc__, points=1_000_000, rounds=15).parse_args()
     torch.set_num_threads(args.threads)
-
-    def rivals(side: int, dtype: torch.dtype) -> Rivals:
-        interleaved = scene(side, dtype)
-        flat = {k: tb.planar(v) for k, v in interleaved.items()}
-        return {"textbook eager": (textbook, interleaved), "ours eager": (ours, flat), "ours compiled": (tb.compile(ours), flat)}
-
-    check(rivals(256, torch.float64), 1.0)
+    side = round(math.sqrt(args.points))
+    print("shade: differences from the textbook")
+    agreed(rivals(256, torch.float64), 1.0)
     torch.compiler.reset()
-    contestants = rivals(args.side, torch.float32)
-    check(contestants, 0.99)
-    forward: dict[str, list[float]] = {k: [] for k in contestants}
-    both: dict[str, list[float]] = {k: [] for k in contestants}
-    for k in tqdm(range(args.repeat + 2), desc="rounds", leave=False):
-        for name, (fn, s) in contestants.items():
-            with torch.no_grad():
-                f = time_once(lambda fn=fn, s=s: fn(s))
-            b = time_once(lambda fn=fn, s=s: with_gradients(fn, s))
-            if k >= 2:  # the first rounds compile and warm up
-                forward[name].append(f)
-                both[name].append(b)
-    print(f"\n{args.side**2 / 1e6:.2f}M pixels, {args.threads} threads    forward            forward + backward")
-    base_f, base_b = statistics.median(forward["textbook eager"]), statistics.median(both["textbook eager"])
-    for name in contestants:
-        f, b = statistics.median(forward[name]), statistics.median(both[name])
-        print(f"{name:<16} {f:9.2f} ms  {base_f / f:5.1f}x   {b:9.2f} ms  {base_b / b:5.1f}x")
+    found = agreed(rivals(side, torch.float32), 0.99)
+    bare = "ours compiled, bare formula"
+    found[bare] = (tb.compile(workloads.ours("W1")), bare_scene(found["ours compiled"][1]))
+    runs: Race = {(name, FORWARD): partial(no_grad, *r) for name, r in found.items()}
+    runs |= {(name, BOTH): partial(with_gradients, *r) for name, r in found.items()}
+    head = f"{side} × {side} pixels, one point light, {args.rounds} rounds, {machine(args.threads)}. Medians, quartiles in brackets."
+    text = comparison(race(runs, args.rounds, "shade"), [FORWARD, BOTH], "textbook eager", bare)
+    publish("shade", f"{head}\n\n{text}", args.write)
 
 
 if __name__ == "__main__":
-    if not ALLOCATOR.items() <= os.environ.items():
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **ALLOCATOR})
+    steady()
     main()

@@ -23,8 +23,8 @@ from torch import Tensor, nn
 import torchbrdf as tb
 
 
-def quantities(material: nn.Module, lights: nn.Module, seen: Tensor | None) -> dict[str, Tensor]:
-    """The numbers that the report is about, differentiable; a texture counts through the mean of its seen texels."""
+def quantities(material: nn.Module, lights: nn.Module, shown: Tensor | None) -> dict[str, Tensor]:
+    """The numbers that the report is about, differentiable; a texture counts through the mean of its shown texels."""
     found: dict[str, Tensor] = {}
     for name, module in (*material.named_modules(), *lights.named_modules()):
         if not (isinstance(module, tb.nn.Learned | tb.nn.Texture)):
@@ -32,25 +32,25 @@ def quantities(material: nn.Module, lights: nn.Module, seen: Tensor | None) -> d
         *_, owner, label = ["", *name.split(".")]
         label = f"{owner} {label}" if owner.startswith("light ") else label
         axes = "xyz" if label.endswith(("position", "direction")) else "RGB"
-        value = module.value if isinstance(module, tb.nn.Learned) else module.value[seen].mean(0)
+        value = module.value if isinstance(module, tb.nn.Learned) else module.value[shown].mean(0)
         parts = value.reshape(-1)
         found |= {f"{label} {axes[k]}": p for k, p in enumerate(parts)} if len(parts) == 3 else {label: parts[0]}
     return found
 
 
-def seen_texels(texture: tb.nn.Texture, points: list[Any], noise: float) -> Tensor:
-    """Texels with the footprints of at least two measured, lit pixel-light pairs on them, bool [Ht, Wt]."""
+def shown_texels(texture: tb.nn.Texture, points: list[Any], noise: float) -> Tensor:
+    """Texels with the footprints of at least two measured, bright pixel-light pairs on them, bool [Ht, Wt]."""
     probe = tb.nn.Texture(torch.zeros_like(texture.raw[..., :1]), wrap=texture.wrap)
     for p in points:
-        lit = p.image.sum(-1, keepdim=True) > 4 * noise
-        (probe(p.g) * lit).sum().backward()
+        bright = p.image.sum(-1, keepdim=True) > 4 * noise
+        (probe(p.g) * bright).sum().backward()
     return probe.raw.grad[..., 0] > 2
 
 
-def true_values(problem: Problem, seen: Tensor | None) -> dict[str, float]:
+def true_values(problem: Problem, shown: Tensor | None) -> dict[str, float]:
     found: dict[str, float] = {}
     for name, value in problem.truth.items():
-        parts = (value[seen].mean(0) if value.dim() == 3 else value).reshape(-1).tolist()
+        parts = (value[shown].mean(0) if value.dim() == 3 else value).reshape(-1).tolist()
         found |= {f"{name} {'RGB'[k]}": p for k, p in enumerate(parts)} if len(parts) == 3 else {name: parts[0]}
     return found
 
@@ -81,18 +81,18 @@ def recover(
     view = problem.views[0]
     print(tb.plan(view.g, material(view.g), problem.lights(view.g), visibility=view.visibility))
     points = [p for v in problem.views for p in v.points()]
-    seen = next((seen_texels(m, points, problem.noise or 0.0) for m in material.modules() if isinstance(m, tb.nn.Texture)), None)
+    shown = next((shown_texels(m, points, problem.noise or 0.0) for m in material.modules() if isinstance(m, tb.nn.Texture)), None)
     print(f"{sum(len(p.image) for p in points)} lit pixels in {len(points)} photographs")
-    started = {k: float(v.detach()) for k, v in quantities(material, problem.lights, seen).items()}
+    started = {k: float(v.detach()) for k, v in quantities(material, problem.lights, shown).items()}
     first = render(material, problem, view)
     both = Model(material, problem, tb.plan(points[0].g, material(points[0].g), problem.lights.one(points[0].g, 0)))
     history = fit(both, points, iterations, optimizer)
     print(f"{optimizer}: {len(history) - 1} iterations, {history[-1].seconds:.1f} s")
     sure = Confidence(both, points)
-    recovered = quantities(material, problem.lights, seen)
-    truth = true_values(problem, seen)
+    recovered = quantities(material, problem.lights, shown)
+    truth = true_values(problem, shown)
     rows = report(truth, started, recovered, {k: sure.of(v) for k, v in recovered.items()})
-    rows += _texel_error(material, problem, seen)
+    rows += _texel_error(material, problem, shown)
     if not quiet:
         out.mkdir(parents=True, exist_ok=True)
         save_sheet(out / "sheet.png", view, first, render(material, problem, view), [step.loss for step in history])
@@ -101,17 +101,17 @@ def recover(
     return rows
 
 
-def _texel_error(material: nn.Module, problem: Problem, seen: Tensor | None) -> list[dict[str, Any]]:
-    """Mean relative error over the seen texels, where the true texture is known."""
+def _texel_error(material: nn.Module, problem: Problem, shown: Tensor | None) -> list[dict[str, Any]]:
+    """Mean relative error over the shown texels, where the true texture is known."""
     truth = problem.truth.get("albedo")
     texture = next((m for m in material.modules() if isinstance(m, tb.nn.Texture)), None)
-    if texture is None or seen is None or truth is None or truth.dim() != 3:
+    if texture is None or shown is None or truth is None or truth.dim() != 3:
         return []
-    seen = seen & (truth > 0).all(-1)  # relative to a black texel there is no error
-    if not seen.any():
+    shown = shown & (truth > 0).all(-1)  # relative to a black texel there is no error
+    if not shown.any():
         return []
-    error = float(((texture.value.detach() - truth).abs() / truth)[seen].mean())
-    print(f"texel by texel: mean error {error:.2%} over the {int(seen.sum())} of {seen.numel()} texels that the images show")
+    error = float(((texture.value.detach() - truth).abs() / truth)[shown].mean())
+    print(f"texel by texel: mean error {error:.2%} over the {int(shown.sum())} of {shown.numel()} texels that the images show")
     return [{"name": "albedo texels", "error": error}]
 
 

@@ -6,6 +6,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 import trimesh
@@ -154,7 +155,19 @@ CASES = {
     # lights
     "a light at NaN": (lambda: tb.shade(g(), LAMBERT, tb.PointLight([NAN, 0.0, 0.0], 1.0)), r"PointLight.position \[1, 3\]: legal range .* found nan"),
     "an infinite light": (lambda: tb.shade(g(), LAMBERT, tb.DirectionalLight([0.0, 0.0, 1.0], math.inf)), r"DirectionalLight.irradiance \[1, 1\]: legal range .* found inf"),
-    "lights in a grid": (lambda: tb.PointLight(torch.rand(2, 2, 3), torch.rand(2, 2, 1)), r"PointLight.position: expected shape \[L, 3\], found \[2, 2, 3\]; flatten"),
+    "lights in a grid": (lambda: tb.shade(g(), LAMBERT, tb.PointLight(torch.rand(2, 2, 3), torch.rand(2, 2, 1))), r"PointLight: batch shape \[2, 2\], read as \[2\] views with 2 lights each, does not fit a G-buffer of \[4, 5\]"),
+    "a row of points channels first": (lambda: LAMBERT.evaluate(torch.rand(3, 5, 6), UP), r"wi: expected shape \[..., 3\], found \[3, 5, 6\]; did you mean x.movedim\(-3, -1\) -> \[5, 6, 3\]"),
+    "bytes for directions": (lambda: LAMBERT.evaluate(UP.byte(), UP), r"wi: expected a tensor of floats, found torch.uint8; bytes of a picture become x / 255"),
+    "bytes for texels": (lambda: tb.bilinear(torch.zeros(4, 4, 3, dtype=torch.uint8), torch.rand(5, 2)), r"texels: .*found torch.uint8; bytes of a picture become x / 255 .*tb.read_image"),
+    "bytes for a texture": (lambda: tb.nn.Texture(torch.zeros(4, 4, 3, dtype=torch.uint8), srgb=True), r"Texture: found torch.uint8; bytes of a picture become x / 255 .*tb.read_image"),
+    "bytes for a field": (lambda: tb.nn.Constant(np.zeros((4, 5, 3), np.uint8)), r"Constant: found torch.uint8; bytes of a picture become x / 255"),
+    "bytes for a sky": (lambda: tb.EnvironmentMap(torch.ones(2, 4, 3, dtype=torch.uint8)), r"EnvironmentMap.texels: .*found torch.uint8; bytes of a picture become x / 255"),
+    "a texture channels first": (lambda: tb.nn.Texture(torch.rand(3, 32, 40)), r"Texture.texels: expected shape \[Ht, Wt, C\] with pixels in it, found \[3, 32, 40\]; channels first\? x.permute\(1, 2, 0\) -> \[32, 40, 3\]"),
+    "a sky channels first": (lambda: tb.EnvironmentMap(torch.rand(3, 16, 32)), r"EnvironmentMap.texels: .*found \[3, 16, 32\]; channels first\? x.permute"),
+    "bilinear channels first": (lambda: tb.bilinear(torch.rand(4, 32, 40), torch.rand(5, 2)), r"texels: .*channels first\? x.permute\(1, 2, 0\) -> \[32, 40, 4\]"),
+    "a batch of textures": (lambda: tb.nn.Texture(torch.rand(2, 8, 8, 3)), r"Texture.texels: .*found \[2, 8, 8, 3\]; take one picture of the batch"),
+    "a grey sky": (lambda: tb.EnvironmentMap(torch.rand(4, 8)), r"EnvironmentMap.texels: expected shape \[..., Hm, Wm, C\], found \[4, 8\]; did you mean x.unsqueeze\(-1\) -> \[4, 8, 1\]"),
+    "a map without channels": (lambda: LAMBERT.replace(albedo=torch.rand(5, 5)).evaluate(UP.expand(5, 5, 3), UP), r"Lambert.albedo: expected shape \[..., C\], found \[5, 5\] beside wi; a map without channels is x\[..., None\] -> \[5, 5, 1\]"),
     "lights None": (lambda: tb.shade(g(), LAMBERT, None), "lights: expected a light or a list of lights such as .*found NoneType"),
     "lights in a dictionary": (lambda: tb.shade(g(), LAMBERT, {"sun": SUN}), r"lights\[0\]: expected a light such as .*found str"),
     "a sky elsewhere": (lambda: SKY.to("meta").radiance(UP), "EnvironmentMap.texels: float32 on meta beside wi: float32 on cpu; convert one"),
@@ -222,6 +235,7 @@ CASES = {
     "plan with tolerance": (lambda: tb.plan(g(), LAMBERT, SUN, tolerance=-1), "tolerance: found -1; .*leave it None"),
     "a plan run on nothing": (lambda: PLAN(None, LAMBERT, SUN), "g: expected a G-buffer such as .*found NoneType"),
     "a plan run without lights": (lambda: PLAN(g(), LAMBERT, []), "lights: found none"),
+    "learn a number": (lambda: tb.value_and_grad(5), r"value_and_grad: expected a function loss\(learned, ...\), found int"),
     "compile a number": (lambda: tb.compile(5), "compile: expected a function, a plan or a module, found int"),
     "check a number": (lambda: tb.testing.check(5), "check: expected a BSDF or a Fresnel term, found int"),
     # learning
@@ -247,7 +261,7 @@ CASES = {
     "Material of a word": (lambda: tb.nn.Material("Lambert", albedo=0.5), "Material: expected a model .a class such as tb.Lambert., found 'Lambert'"),
     "Material of a value": (lambda: tb.nn.Material(LAMBERT, albedo=0.5), "Material: expected a model .*found Lambert"),
     "Material without": (lambda: tb.nn.Material(tb.Lambert), r"Material\(Lambert\): missing parameter \['albedo'\]"),
-    "Material with another": (lambda: tb.nn.Material(tb.Lambert, colour=0.5), r"Material\(Lambert\): unknown parameter \['colour'\]; legal are"),
+    "Material with another": (lambda: tb.nn.Material(tb.Lambert, colour=0.5), r"Material\(Lambert\): unknown parameter \['colour'\]; did you mean albedo \(fraction .*\)\? legal are"),
     "Material of None": (lambda: tb.nn.Material(tb.Lambert, albedo=None)(g()), "Lambert.albedo: expected a number, .*found None"),
     "MaterialSum of nothing": (lambda: tb.nn.MaterialSum(), "MaterialSum: expected one material or more"),
     "MaterialSum with a number": (lambda: MATERIAL + 5, "MaterialSum: expected one material or more, found"),

@@ -17,6 +17,22 @@ def g(**changes):
     return tb.GBuffer(**{**fields, **changes})
 
 
+def square(*size):
+    shape = (*size, size[-1], 3)
+    return g(position=torch.zeros(shape), normal=UP.expand(shape), view=UP.expand(shape))
+
+
+def plane(**changes):
+    """Points that all differ."""
+    y, x = torch.meshgrid(torch.linspace(1, -1, 8), torch.linspace(-1, 1, 9), indexing="ij")
+    return g(**{"position": torch.stack([x, y, 0 * x], -1), "normal": UP, "view": UP, **changes})
+
+
+def waves():
+    x, y, _ = plane().position.unbind(-1)
+    return tb.normalize(torch.stack([x, torch.sin(2 * y), torch.ones_like(x)], -1))
+
+
 def box(**changes):
     b = trimesh.creation.box()
     return tb.Mesh(**{"vertices": torch.tensor(b.vertices, dtype=torch.float32), "faces": torch.tensor(b.faces), **changes})
@@ -93,13 +109,33 @@ CASES = {
     "size 1 of a mask": (lambda t: g(mask=torch.ones(4, 5, dtype=torch.bool)), ValueError, r"GBuffer.mask: expected shape \[..., 1\], found \[4, 5\]; did you mean x.unsqueeze"),
     "size C": (lambda t: tb.Phong(torch.rand(3), 1.0) + tb.Lambert(torch.rand(4)), ValueError, r"different numbers of colour channels: .*3.*4.*use one C, or 1"),
     "size C within a model": (lambda t: tb.Conductor(torch.ones(3), torch.ones(2)), ValueError, r"Conductor: colour parameters have different numbers of channels: .*3.*2.*use one C, or 1"),
-    "size C of a Fresnel term": (lambda t: tb.Phong([1.0] * 3, 5.0, fresnel=tb.Schlick([0.1] * 4)), ValueError, r"Phong: different numbers of colour channels: .*'own parameters', 3.*'Schlick', 4.*; use one C, or 1"),
+    "size C of a Fresnel term": (lambda t: tb.Phong([1.0] * 3, 5.0, fresnel=tb.Schlick([0.1] * 4)), ValueError, r"Phong: different numbers of colour channels: .*'own parameters': 3.*Schlick': 4.*; use one C, or 1"),
     "size of u for two lobes": (lambda t: (tb.Lambert(0.5) + tb.Phong(0.5, 9.0)).sample(UP, torch.rand(2)), ValueError, r"found \[2\], the third chooses among the 2 lobes: torch.rand\(..., 3\)"),
     "size C of a light": (lambda t: shade(bsdf=tb.Lambert(torch.rand(8)), lights=[SUN, tb.PointLight(UP, torch.ones(3))]), ValueError, r"bsdf and lights have different numbers of colour channels: .*'bsdf': 8, .*'lights\[1\]': 3.*; use one C, or 1"),
     "size of u": (lambda t: tb.Lambert(0.5).sample(UP, torch.rand(4)), ValueError, r"u: expected shape \[..., 3\] of numbers in \[0, 1\), found \[4\]"),
     "size of wi": (lambda t: tb.Lambert(0.5).evaluate(torch.rand(2), UP), ValueError, r"wi: expected shape \[..., 3\], found \[2\]"),
     "size of cos_i": (lambda t: tb.Schlick(0.04).reflectance(torch.rand(2)), ValueError, r"cos_i: expected shape \[..., 1\], found \[2\]; did you mean cos_i.unsqueeze"),
-    "kind of mask": (lambda t: g(mask=torch.ones(4, 5, 1)), TypeError, r"GBuffer.mask: expected a tensor of bools, found torch.float32; convert it"),
+    "kind of mask": (lambda t: g(mask=torch.ones(4, 5, 1)), TypeError, r"GBuffer.mask: expected a tensor of bools, found torch.float32; compare it, for example x > 0.5"),
+    "mask of bytes": (lambda t: g(mask=torch.ones(4, 5, 1, dtype=torch.uint8)), TypeError, r"GBuffer.mask: expected a tensor of bools, found torch.uint8; compare it, for example x > 0.5"),
+    "ids of floats": (lambda t: g(material=torch.ones(4, 5, 1)), TypeError, r"GBuffer.material: expected a tensor of ints, found torch.float32; round it: x.round\(\).to\(torch.int64\)"),
+    "normals channels first": (lambda t: g(normal=torch.rand(3, 4, 5)), ValueError, r"GBuffer.normal: expected shape \[..., 3\], found \[3, 4, 5\]; did you mean x.movedim\(-3, -1\) -> \[4, 5, 3\]"),
+    "bytes for an albedo": (lambda t: tb.Lambert(torch.ones(4, 5, 3, dtype=torch.uint8)), TypeError, r"Lambert.albedo: expected a tensor of floats, found torch.uint8; bytes of a picture become x / 255 .*tb.read_image"),
+    "a map without channels": (lambda t: shade(bsdf=tb.Lambert(torch.rand(4, 5))), ValueError, r"Lambert.albedo: expected shape \[..., C\], found \[4, 5\] beside the G-buffer's position; a map without channels is x\[..., None\] -> \[4, 5, 1\]"),
+    "a map in a sum": (lambda t: shade(bsdf=tb.Lambert(0.5) + 0.5 * tb.Phong(torch.rand(4, 5), 2.0)), ValueError, r"Phong.specular: expected shape \[..., C\], found \[4, 5\]"),
+    "a square map without channels": (lambda t: shade(g=square(6), bsdf=tb.Lambert(torch.rand(6, 6))), ValueError, r"Lambert.albedo: .*found \[6, 6\] .*a map without channels is x\[..., None\]"),
+    "a map for several views": (lambda t: shade(g=square(2, 6), bsdf=tb.Lambert(torch.rand(6, 6))), ValueError, r"Lambert.albedo: .*found \[6, 6\] .*x\[..., None\] -> \[6, 6, 1\]"),
+    "a square picture channels first": (lambda t: shade(g=square(6), bsdf=tb.Lambert(torch.rand(1, 6, 6))), ValueError, r"Lambert.albedo: .*found \[1, 6, 6\] .*channels come last: x.movedim\(-3, -1\) -> \[6, 6, 1\]"),
+    "a picture channels first": (lambda t: shade(bsdf=tb.Lambert(torch.rand(3, 4, 5))), ValueError, r"Lambert.albedo: .*found \[3, 4, 5\] .*channels come last: x.movedim\(-3, -1\) -> \[4, 5, 3\]"),
+    "pictures channels first": (lambda t: shade(g=square(2, 6), bsdf=tb.Lambert(torch.rand(2, 3, 6, 6))), ValueError, r"Lambert.albedo: .*channels come last: x.movedim\(-3, -1\) -> \[2, 6, 6, 3\]"),
+    "a picture with alpha": (lambda t: shade(bsdf=tb.Lambert(torch.rand(4, 5, 4)), lights=tb.PointLight(UP, torch.ones(3))), ValueError, r"different numbers of colour channels: .*use one C, or 1 \(alpha is no colour: x\[..., :3\]\)"),
+    "a picture with alpha beside another": (lambda t: tb.Lambert(torch.rand(4, 5, 4)) + tb.Phong(torch.rand(3), 2.0), ValueError, r"\(alpha is no colour: x\[..., :3\]\)"),
+    "a picture channels first beside another": (lambda t: tb.Conductor(torch.rand(3, 4, 5), torch.rand(3)), ValueError, r"use one C, or 1 \(channels come last: x.permute\(1, 2, 0\)\)"),
+    "a camera's position for the view": (lambda t: shade(g=plane(view=torch.tensor([0.0, 0.0, 4.0]).expand(8, 9, 3))), ValueError, r"GBuffer.view: points at different positions have one view, of length 4; .*tb.normalize\(camera.origin - g.position\); of parallel rays, tb.normalize\(view\)"),
+    "cameras' positions for the views": (lambda t: shade(g=plane(view=torch.tensor([[0.0, 0.0, 4.0], [0.0, 1.0, 3.0]])[:, None, None])), ValueError, r"GBuffer.view: points at different positions have one view, of length"),
+    "a camera's position, looked at alone": (lambda t: tb.validate(plane(view=torch.tensor([0.0, 0.0, 4.0]))), ValueError, r"GBuffer.view: points at different positions have one view"),
+    "a normal map": (lambda t: shade(g=plane(normal=0.5 * waves() + 0.5)), ValueError, r"GBuffer.normal: no component is negative, and 2 \* normal - 1 has unit length: a normal map stored in \[0, 1\]; decode it: tb.normalize\(2 \* normal - 1\)"),
+    "a normal map of eight bits": (lambda t: shade(g=plane(normal=(127.5 * waves() + 127.5).round() / 255)), ValueError, r"a normal map stored in \[0, 1\]"),
+    "a normal map of bytes": (lambda t: shade(g=plane(normal=(127.5 * waves() + 127.5).round())), ValueError, r"a normal map stored in \[0, 255\]; decode it: tb.normalize\(normal / 127.5 - 1\)"),
     "kind of position": (lambda t: g(position=torch.zeros(4, 5, 3, dtype=torch.int64)), TypeError, r"GBuffer.position: expected a tensor of floats, found torch.int64; convert it"),
     "a word for a number": (lambda t: tb.Lambert("red"), TypeError, r"Lambert.albedo: expected a number, list, array or tensor, found str"),
     # values
@@ -112,6 +148,7 @@ CASES = {
     "validate looks too": (lambda t: tb.validate(tb.Lambert(1.2)), ValueError, r"Lambert.albedo \[1\]: legal range \[0, 1\], found 1.2"),
     # lights
     "lights of mismatched batch": (lambda t: tb.PointLight(torch.zeros(3, 3), torch.ones(2, 3)), ValueError, r"PointLight: batch shapes do not broadcast: .*\(3,\).*\(2,\)"),
+    "views of lights": (lambda t: shade(lights=tb.PointLight(torch.rand(3, 2, 3), 1.0)), ValueError, r"PointLight: batch shape \[3, 2\], read as \[3\] views with 2 lights each, does not fit a G-buffer of \[4, 5\]"),
     "no lights": (lambda t: shade(lights=[]), ValueError, r"lights: found none; pass at least one, such as"),
     "what is no light": (lambda t: shade(lights=[SUN, UP]), TypeError, r"lights\[1\]: expected a light such as tb.PointLight.*, found Tensor"),
     "a list in a list": (lambda t: shade(lights=[[SUN]]), TypeError, r"lights\[0\]: expected a light such as .*, found list"),
@@ -142,7 +179,7 @@ CASES = {
     # shapes of a scene
     "no view": (lambda t: shade(g=g(view=None)), ValueError, r"GBuffer.view is missing: .*GBuffer.from_mesh.*or set it: g.replace\(view="),
     "material batch": (lambda t: shade(bsdf=tb.Lambert(torch.rand(4, 6, 3))), ValueError, r"bsdf: parameters of batch shape \[4, 6\] do not fit a G-buffer of \[4, 5\]; give"),
-    "a batch that would grow the image": (lambda t: shade(bsdf=tb.Lambert(torch.rand(2, 4, 5, 3))), ValueError, r"bsdf: parameters of batch shape \[2, 4, 5\] do not fit a G-buffer of \[4, 5\]"),
+    "a batch that would grow the image": (lambda t: shade(bsdf=tb.Lambert(torch.rand(2, 4, 5, 3))), ValueError, r"bsdf: parameters of batch shape \[2, 4, 5\] do not fit a G-buffer of \[4, 5\].* or shade many materials: torch.vmap"),
     "G-buffer batch": (lambda t: g(view=torch.zeros(3, 5, 3)), ValueError, r"GBuffer: batch shapes do not broadcast: .*view"),
     "rows of visibility": (lambda t: shade(visibility=torch.ones(2, 4, 5, 1)), ValueError, r"visibility: expected shape \[1, 4, 5, 1\], .* found \[2, 4, 5, 1\]; compute it with tb.visibility"),
     "pixels of visibility": (lambda t: shade(visibility=torch.ones(1, 5, 4, 1)), ValueError, r"visibility: expected shape \[1, 4, 5, 1\], .* found \[1, 5, 4, 1\]"),
@@ -152,7 +189,7 @@ CASES = {
     # learning
     "texture without uv": (lambda t: tb.nn.Texture(torch.rand(2, 2, 3))(g()), ValueError, r"Texture: this G-buffer has no uv; give the mesh texture coordinates, or use"),
     "PerMaterial without ids": (lambda t: tb.nn.PerMaterial(torch.rand(2, 3))(g()), ValueError, r"PerMaterial: this G-buffer has no material ids; load a mesh with"),
-    "texels": (lambda t: tb.nn.Texture(torch.rand(2, 2)), ValueError, r"Texture.texels: expected shape \[Ht, Wt, C\], found \[2, 2\]"),
+    "texels": (lambda t: tb.nn.Texture(torch.rand(2, 2)), ValueError, r"Texture.texels: expected shape \[Ht, Wt, C\] with pixels in it, found \[2, 2\]; a map without channels is x\[..., None\]"),
     "table": (lambda t: tb.nn.PerMaterial(torch.rand(2)), ValueError, r"PerMaterial.table: expected shape \[M, C\], .*found \[2\]"),
     "srgb of four channels": (lambda t: tb.nn.Texture(torch.rand(2, 2, 4), srgb=True), ValueError, r"Texture.srgb: decodes 1 or 3 channels, found 4; put the others"),
     "field of words": (lambda t: tb.nn.Learned("red"), TypeError, r"Learned: expected a number, list, array or tensor, found str"),

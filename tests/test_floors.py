@@ -21,6 +21,7 @@ FLOORS = {
             "loading",
             "stacking",
             "registry",
+            "synonyms",
             "arguments",
             "parameters",
             "torch_compat",

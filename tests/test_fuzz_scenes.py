@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 import torchbrdf as tb
 
+# What is drawn is odd on purpose.
+pytestmark = [pytest.mark.filterwarnings("ignore:GBuffer. none of its"), pytest.mark.filterwarnings("ignore:look_at. fov_y")]
 SINGLE, DOUBLE = torch.float32, torch.float64
 SETTINGS = {"deadline": None, "suppress_health_check": list(HealthCheck), "derandomize": True}
 coordinates = st.one_of(st.floats(-1.0, 1.0, width=16), st.sampled_from([0.0, -0.0, 1.0, -1.0, 0.5, 2.0**-10, 2.0**-24]))

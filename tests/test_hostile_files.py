@@ -19,7 +19,7 @@ import torchbrdf as tb
 from torchbrdf.io import files
 
 SPACE = 700  # MB of address space beyond the imports; what is believed below is 64 MB, held in three copies, and OpenEXR's threads
-BELIEVED = 64
+ALLOWED_MB = 64
 
 
 def check(outcomes):
@@ -73,7 +73,7 @@ def found(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hostile")
     whole = whole_files(folder / "whole")
     groups = {"whole": [p for paths in whole.values() for p in paths], "cut": list(cut_files(whole)), **damaged_files(whole, 0, 30)}
-    files_ = {p: BELIEVED for group in groups.values() for p in group}
+    files_ = {p: ALLOWED_MB for group in groups.values() for p in group}
     for name, (write, _) in LIES.items():
         write(folder / name)
         files_[folder / name] = (
@@ -106,7 +106,7 @@ def test_damage_ends_in_a_result_or_one_clear_error(found, kind):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_much_damage(tmp_path, seed):
     made = damaged_files(whole_files(tmp_path / "whole"), seed, 400)
-    check(hostile.outcomes({p: BELIEVED for paths in made.values() for p in paths}, 20, SPACE))
+    check(hostile.outcomes({p: ALLOWED_MB for paths in made.values() for p in paths}, 20, SPACE))
 
 
 @pytest.mark.parametrize("name", LIES)

@@ -130,11 +130,109 @@ def test_gradients_reach_every_parameter(kind, names):
     assert gradcheck(radiance, (lifted.requires_grad_(), colour, points))
 
 
+KINDS = {"point": tb.PointLight, "sun": tb.DirectionalLight}
+
+
+def views(channels=3, count=2):
+    """Three views of 4 x 5 points, and ``count`` lights for each."""
+    up = torch.tensor([0.0, 0.0, 1.0]).double()
+    g = tb.GBuffer(draw(3, 4, 5, 3), tb.normalize(up + 0.3 * draw(3, 4, 5, 3)), tb.normalize(up + 0.3 * draw(3, 4, 5, 3)))
+    return g, draw(3, count, 3) + 4 * up, torch.rand(3, count, channels).double() + 0.1
+
+
+@pytest.mark.parametrize("channels", [1, 3, 8])
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("kind", KINDS)
+def test_lights_by_view_are_those_of_each_view(kind, count, channels):
+    g, place, colour = views(channels, count)
+    brdf = tb.Lambert(0.3) + tb.Phong(torch.rand(channels).double(), 9.0)
+    lights = KINDS[kind](place, colour)
+    assert len(lights) == count
+    both = [lights, tb.DirectionalLight([0.1, 0.2, 1.0], 0.5)]
+    rows = tb.shade(g, brdf, both, per_light=True)
+    image = tb.shade(g, brdf, both)
+    assert rows.shape == (count + 1, 3, 4, 5, channels)
+    torch.testing.assert_close(rows.sum(0), image)
+    for b in range(3):
+        own = [KINDS[kind](place[b], colour[b]), both[1]]
+        torch.testing.assert_close(image[b], tb.shade(g[b], brdf, own))
+        torch.testing.assert_close(rows[:, b], tb.shade(g[b], brdf, own, per_light=True))
+        torch.testing.assert_close(lights[b].position if kind == "point" else lights[b].direction, place[b])
+        for whole, mine in zip(lights.sample(g.position), own[0].sample(g.position[b]), strict=True):
+            torch.testing.assert_close(whole[:, b], mine)
+    at_once = torch.vmap(lambda g, light: tb.shade(g, brdf, light))(g, lights)
+    torch.testing.assert_close(at_once, tb.shade(g, brdf, lights))
+
+
+def test_one_of_two_parameters_may_be_by_view():
+    g, place, colour = views()
+    brdf = tb.Lambert(0.5)
+    for light in (tb.PointLight(place, [2.0, 1.0, 0.5]), tb.PointLight(place[0], colour[:, :1]), tb.PointLight(place[:, :1], colour[0])):
+        image = tb.shade(g, brdf, light)
+        for b in range(3):
+            torch.testing.assert_close(image[b], tb.shade(g[b], brdf, light[b]))
+    # Nothing but the view may differ from view to view, and a list of pixels may have views, too.
+    shared = tb.GBuffer(g.position[0], g.normal[0], g.view)
+    pixels = g.map(lambda t: t.flatten(1, 2))
+    lights = tb.PointLight(place, colour)
+    torch.testing.assert_close(tb.shade(shared, brdf, lights)[1], tb.shade(shared[1], brdf, lights[1]))
+    torch.testing.assert_close(tb.shade(pixels, brdf, lights)[2], tb.shade(pixels[2], brdf, lights[2]))
+
+
+def test_without_views_a_batch_of_positions_is_a_list_of_lights():
+    g, place, _ = views()
+    four = tb.PointLight(place[:, 0], 1.0)
+    assert tb.shade(g, tb.Lambert(0.5), four, per_light=True).shape == (3, 3, 4, 5, 1)
+
+
+def test_many_lights_by_view_come_in_groups(monkeypatch):
+    from torchbrdf.effects import direct
+
+    g, place, colour = views(count=5)
+    whole = tb.shade(g, tb.Lambert(0.5), tb.PointLight(place, colour), per_light=True)
+    monkeypatch.setattr(direct, "GROUP", 130)  # two lights at a time
+    torch.testing.assert_close(tb.shade(g, tb.Lambert(0.5), tb.PointLight(place, colour), per_light=True), whole)
+
+
+def test_shadows_of_lights_by_view():
+    up = torch.tensor([0.0, 0.0, 1.0])
+    g = tb.GBuffer(torch.tensor([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), up, up.expand(2, 1, 3))  # two views of two points
+    plate = tb.Mesh([[-0.5, -0.5, 1.0], [0.5, -0.5, 1.0], [0.5, 0.5, 1.0], [-0.5, 0.5, 1.0]], [[0, 1, 2], [0, 2, 3]])
+    light = tb.PointLight(torch.tensor([[[-1.0, 0.0, 2.0]], [[1.0, 0.0, 2.0]]]), 1.0)  # behind the plate, seen from the other point
+    lights = [tb.DirectionalLight(up, 1.0), light]
+    found = tb.visibility(g, lights, plate)
+    assert found[..., 0].tolist() == [[[1, 1], [1, 1]], [[1, 0], [0, 1]]]
+    image = tb.shade(g, tb.Lambert(0.5), lights, mesh=plate, per_light=True)
+    assert torch.equal(image, tb.shade(g, tb.Lambert(0.5), lights, per_light=True) * found)
+
+
+def test_rows_of_lights_by_view_and_of_others_have_one_shape():
+    """Points that lie on their own triangles are not repeated for each view, where a field that no ray needs has the views."""
+    floor = tb.Mesh([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]], [[0, 1, 2]])
+    g = tb.GBuffer.from_triangles(floor, torch.zeros(5, 1, dtype=torch.int64), torch.full((5, 3), 1 / 3))
+    by_view = g.replace(uv=torch.zeros(2, 1, 2))
+    lights = [tb.DirectionalLight([0.0, 0.0, 1.0], 1.0), tb.PointLight(torch.tensor([[[0.0, 0.0, 1.0]], [[0.0, 0.0, -1.0]]]), 1.0)]
+    assert tb.visibility(by_view, lights, floor)[..., 0, 0].tolist() == [[1, 1], [1, 0]]
+
+
+def test_lights_by_view_make_one_full_graph():
+    g, place, colour = views()
+    torch.compiler.reset()
+
+    def image(g, place, colour):
+        return tb.shade(g, tb.Lambert(0.5) + tb.Phong(0.2, 5.0), tb.PointLight(place, colour))
+
+    compiled = torch.compile(image, fullgraph=True, backend="eager")
+    torch.testing.assert_close(compiled(g, place, colour), image(g, place, colour))
+    assert gradcheck(lambda p, c: image(g[:, :1, :1], p, c), (place.requires_grad_(), colour.requires_grad_()))
+
+
 WRONG = {
     "batches": (lambda: tb.PointLight(torch.zeros(2, 3), torch.ones(3, 3)), r"PointLight: batch shapes do not broadcast: .*position.*\(2,\).*intensity.*\(3,\)"),
     "size": (lambda: tb.PointLight(torch.zeros(2, 2), 1.0), r"PointLight.position: expected shape \[..., 3\], found \[2, 2\]"),
-    "axes": (lambda: tb.PointLight(torch.zeros(2, 2, 3), 1.0), r"PointLight.position: expected shape \[L, 3\], found \[2, 2, 3\]; flatten"),
-    "colour axes": (lambda: tb.DirectionalLight([0.0, 0.0, 1.0], torch.ones(2, 2, 3)), r"DirectionalLight.irradiance: expected shape \[L, 3\], found \[2, 2, 3\]; flatten"),
+    "views": (lambda: tb.PointLight(torch.zeros(4, 1, 3), 1.0).sample(torch.zeros(3, 5, 3)), r"PointLight: batch shape \[4, 1\], read as \[4\] views with 1 lights each, does not fit points of \[3, 5\].*\[B, L, 3\] by view"),
+    "views of colours": (lambda: tb.DirectionalLight([0.0, 0.0, 1.0], torch.ones(2, 2, 3)).sample(torch.zeros(3)), r"DirectionalLight: batch shape \[2, 2\], .*does not fit points of \[\]"),
+    "views that would grow the points": (lambda: tb.PointLight(torch.zeros(4, 1, 3), 1.0).sample(torch.zeros(1, 5, 3)), r"does not fit points of \[1, 5\]"),
     "none": (lambda: tb.PointLight(torch.zeros(0, 3), 1.0), r"PointLight.position: expected shape \[L, 3\], found \[0, 3\]; leave out"),
     "direction size": (lambda: tb.DirectionalLight([1.0, 0.0], 1.0), r"DirectionalLight.direction: expected shape \[..., 3\], found \[2\]"),
     "negative": (lambda: tb.validate(tb.PointLight([0.0, 0.0, 1.0], -2.0)), r"PointLight.intensity \[1, 1\]: legal range \[0, inf\), found -2"),

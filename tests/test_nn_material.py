@@ -77,7 +77,7 @@ def test_a_network_answers_as_a_parameter():
 
 
 WRONG = {
-    "unknown": (lambda: tb.nn.Material(tb.Lambert, colour=0.5), TypeError, r"Material\(Lambert\): unknown parameter \['colour'\]; legal are \['albedo'\]"),
+    "unknown": (lambda: tb.nn.Material(tb.Lambert, colour=0.5), TypeError, r"Material\(Lambert\): unknown parameter \['colour'\]; did you mean albedo \(fraction .*\)\? legal are \['albedo'\]"),
     "missing": (lambda: tb.nn.Material(tb.Phong, specular=0.5), TypeError, r"Material\(Phong\): missing parameter \['exponent'\]"),
     "start": (lambda: tb.nn.Material(tb.Dielectric, eta=tb.nn.Learned(0.0)), ValueError, r"Dielectric.eta: the field starts outside: legal range \(0, inf\)"),
     "size": (lambda: tb.nn.Material(tb.Phong, specular=0.5, exponent=tb.nn.Learned([1.0, 2.0]))(None), ValueError, r"Phong.exponent: expected shape \[..., 1\], found \[2\]"),

@@ -99,15 +99,20 @@ def test_every_tensor_gets_the_axis_that_vmap_takes():
         assert torch.allclose(images[k], tb.shade(views[k], materials[k], lights[k]), rtol=1e-6)
 
 
-def test_lights_of_several_views_are_not_lights_of_one():
-    lights = tb.stack([tb.PointLight([0.0, 0.0, 3.0], 5.0), tb.PointLight([0.0, 0.0, 4.0], 5.0)])
-    with pytest.raises(ValueError, match=r"lights\[1\]: PointLight of batch shape \[2, 1\].*torch.vmap"):
-        tb.shade(surface(0, 4, 5), tb.Lambert(0.5), [SUN, lights])
-    assert tb.shade(surface(0, 4, 5), tb.Lambert(0.5), [SUN, lights[1]]).shape == (4, 5, 1)
-    with pytest.raises(ValueError, match=r"found \[2, 3, 3\]; .*tb.stack and torch.vmap"):
-        tb.PointLight(torch.rand(2, 3, 3), 1.0)
+def test_stacked_lights_light_the_views_one_by_one():
+    lights = [tb.PointLight([[0.0, 0.0, z], [1.0, 0.0, z]], [[5.0], [3.0]]) for z in (3.0, 4.0)]
+    views = [surface(k, 4, 5) for k in range(2)]
+    images = tb.shade(tb.stack(views), tb.Lambert(0.5), [SUN, tb.stack(lights)])
+    for k in range(2):
+        assert torch.allclose(images[k], tb.shade(views[k], tb.Lambert(0.5), [SUN, lights[k]]), rtol=1e-6)
+    assert tb.shade(views[0], tb.Lambert(0.5), [SUN, tb.stack(lights)[1]]).shape == (4, 5, 1)
+    with pytest.raises(ValueError, match=r"PointLight.*\[2, 2\]"):
+        tb.shade(views[0], tb.Lambert(0.5), [SUN, tb.stack(lights)])
+
+
+def test_stacked_skies_are_several():
     skies = tb.stack([tb.EnvironmentMap(torch.rand(4, 8, 3)), tb.EnvironmentMap(torch.rand(4, 8, 3))])
-    with pytest.raises(ValueError, match=r"lights\[0\]: EnvironmentMap of batch shape \[2\]"):
+    with pytest.raises(ValueError, match=r"lights\[0\]: EnvironmentMap of batch shape \[2\].*torch.vmap"):
         tb.shade(surface(0, 4, 5), tb.Mirror(0.5), skies)
     assert tb.shade(surface(0, 4, 5), tb.Mirror(0.5), skies[1]).shape == (4, 5, 3)
 

@@ -126,10 +126,33 @@ def test_the_backend_saves_nothing_and_leaves_others_their_budget(monkeypatch):
     inner = types.SimpleNamespace(compile_fx=lambda graph, inputs: config.activation_memory_budget)
     monkeypatch.setitem(sys.modules, "torch._inductor.compile_fx", inner)  # importing the real one takes seconds
     torch_compat.recomputing_backend.cache_clear()
-    backend, before = torch_compat.recomputing_backend(), config.activation_memory_budget
+    backend, before = torch_compat.recomputing_backend(True), config.activation_memory_budget
     torch_compat.recomputing_backend.cache_clear()
     assert backend(None, []) == 0.0
     assert config.activation_memory_budget == before != 0.0
+
+
+def test_graphs_that_end_in_a_loss_are_not_computed_twice(monkeypatch):
+    from torch._functorch import config
+
+    budgets = []
+    inner = types.SimpleNamespace(compile_fx=lambda graph, inputs: budgets.append(config.activation_memory_budget) or graph.forward)
+    monkeypatch.setitem(sys.modules, "torch._inductor.compile_fx", inner)
+    torch_compat.recomputing_backend.cache_clear()
+    pixels, always = torch_compat.recomputing_backend(), torch_compat.recomputing_backend(True)
+    torch_compat.recomputing_backend.cache_clear()
+    x = torch.rand(3, requires_grad=True)
+    graphs = (
+        lambda x: x * x,
+        lambda x: (x * x).mean(),
+        lambda x: (x * x, x.detach().mean()),
+        lambda x: {"loss": (x * x).sum(), "image": x},
+    )
+    for backend in (pixels, always):
+        for graph in graphs:
+            torch.compile(graph, backend=backend, fullgraph=True)(x)
+    saved = config.activation_memory_budget
+    assert budgets == [0.0, saved, 0.0, saved] + [0.0] * 4
 
 
 def test_a_budget_of_another_name_is_left_out(monkeypatch):

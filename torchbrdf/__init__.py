@@ -8,6 +8,7 @@ import importlib
 from typing import Any
 
 from .registry import BSDFS, FRESNEL_TERMS
+from .synonyms import UnknownName
 
 __version__ = "0.1.0"
 
@@ -51,7 +52,7 @@ def __getattr__(name: str) -> Any:
     elif name in _NAMES:
         found = getattr(importlib.import_module(f"{__name__}.{_NAMES[name]}"), name)
     else:
-        raise AttributeError(f"module 'torchbrdf' has no attribute {name!r}")
+        raise AttributeError(UnknownName(name, __all__, _MODULES, __name__), name=name, obj=None)  # no second guess by Python
     globals()[name] = found
     return found
 

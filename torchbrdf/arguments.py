@@ -3,12 +3,16 @@
 Only kinds, dtypes and shapes are looked at, never values: these checks run inside graphs and transforms.
 """
 
+import sys
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
+MOST_OF_A_PICTURE = 4  # channels: red, green, blue and alpha
+LEAST_PICTURE = 16  # pixels along a side; what is smaller may as well be a table of as many channels
 FLOATS = (torch.float64, torch.float32, torch.bfloat16, torch.float16)
 
 
@@ -17,15 +21,61 @@ def floats(x: Any, name: str, size: int | None = None) -> Tensor:
     if not isinstance(x, Tensor):
         raise TypeError(f"{name}: expected a tensor of floats, found {type(x).__name__}; make it one with torch.as_tensor(..., dtype=...)")
     if x.dtype not in FLOATS:
-        raise TypeError(f"{name}: expected a tensor of floats, found {x.dtype}; convert it, for example with .to(torch.float32)")
+        raise TypeError(f"{name}: expected a tensor of floats, found {x.dtype}; {as_floats(x.dtype)}")
     if x.layout != torch.strided:
         raise TypeError(f"{name}: expected a dense tensor, found one of layout {x.layout}; convert it with .to_dense()")
     if size is not None and x.shape[-1:] != (size,):
-        raise ValueError(f"{name}: expected shape [..., {size}], found {list(x.shape)}")
+        raise ValueError(f"{name}: expected shape [..., {size}], found {list(x.shape)}{moved(x.shape, (size,))}")
     return x
 
 
-def hidden(*tensors: Tensor) -> bool:
+def as_floats(found: torch.dtype) -> str:
+    """How to make floats of a tensor of another kind; bytes are nearly always those of a picture."""
+    if found == torch.uint8:
+        return "bytes of a picture become x / 255 (colours are sRGB-encoded then: tb.read_image(path) decodes them)"
+    return "convert it, for example with .to(torch.float32)"
+
+
+def moved(shape: Sequence[int], event: Sequence[int | str]) -> str:
+    """How a tensor gets the last axes ``event`` that it lacks, where that can be guessed."""
+    if event[-1] == 1 or (event[-1] == "C" and len(shape) == len(event) - 1):
+        return f"; did you mean x.unsqueeze(-1) -> {[*shape, 1]}?"
+    if len(event) == 1 and len(shape) > 2 and shape[-3] == event[0]:
+        return f"; did you mean x.movedim(-3, -1) -> {[*shape[:-3], *shape[-2:], shape[-3]]}?"
+    return ""
+
+
+def channels_first(shape: Sequence[int]) -> bool:
+    """Whether a picture, or each of a batch, has its channels before height and width rather than behind them, by sizes alone."""
+    return len(shape) > 2 and shape[-3] in (3, MOST_OF_A_PICTURE) and min(shape[-2:]) >= LEAST_PICTURE
+
+
+def picture(x: Tensor, name: str, what: str) -> None:
+    """Raise ``ValueError`` if ``x`` is no picture ``[H, W, C]`` with pixels in it; ``what`` names its axes."""
+    shape = list(x.shape)
+    if len(shape) == 2:
+        remedy = f"; a map without channels is x[..., None] -> {[*shape, 1]}"
+    elif len(shape) > 3:
+        remedy = "; take one picture of the batch, such as x[0]"
+    elif channels_first(shape):
+        remedy = f"; channels first? x.permute(1, 2, 0) -> {[*shape[1:], shape[0]]}"
+    elif len(shape) == 3 and x.numel():
+        return
+    else:
+        remedy = ""
+    raise ValueError(f"{name}: expected shape {what} with pixels in it, found {shape}{remedy}")
+
+
+def one_count(counts: Mapping[str, int], what: str) -> None:
+    """Raise ``ValueError`` if numbers of channels disagree; 1 serves all."""
+    several = set(counts.values()) - {1}
+    if len(several) > 1:
+        alpha = " (alpha is no colour: x[..., :3])" if several == {3, 4} else ""
+        first = " (channels come last: x.permute(1, 2, 0))" if min(several) <= MOST_OF_A_PICTURE < max(several) else ""
+        raise ValueError(f"{what}: {dict(counts)}; use one C, or 1{alpha}{first}")
+
+
+def values_hidden(*tensors: Tensor) -> bool:
     """Whether values cannot be looked at: in graphs, in transforms that have wrapped them, on the meta device."""
     return torch.compiler.is_compiling() or any(t.is_meta or _is_wrapped(t) for t in tensors)
 
@@ -37,6 +87,14 @@ def _is_wrapped(t: Tensor) -> bool:
     except (NotImplementedError, RuntimeError):
         return True
     return False
+
+
+def warn(message: str) -> None:
+    """A warning that points to the first line outside of this package (and of torch's decorators)."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (__package__, "torch"):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, stacklevel=level)
 
 
 def placement(
@@ -84,3 +142,8 @@ def one_of(x: Any, name: str, legal: Iterable[str]) -> Any:
     if not isinstance(x, str) or x not in names:
         raise ValueError(f"{name}: found {x!r}, legal are {names}")
     return x
+
+
+def leads(first: Sequence[int], shape: Sequence[int]) -> bool:
+    """Whether axes broadcast to the first axes of ``shape`` without changing them."""
+    return len(first) <= len(shape) and not [a for a, b in zip(first, shape, strict=False) if a not in (1, b)]

@@ -11,12 +11,14 @@ from . import torch_compat
 _warned = False
 
 
-def compile(fn: Callable[..., Any], *, fullgraph: bool = True, recompute: bool = True) -> Callable[..., Any]:
+def compile(fn: Callable[..., Any], *, fullgraph: bool = True, recompute: bool | None = None) -> Callable[..., Any]:
     """Compile ``fn`` (a function, a plan, or an ``nn.Module``) and fall back to eager, with one warning, where it cannot be.
 
     A module stays a module (``torch.compile``'s wrapper), so DDP takes it. ``recompute`` lets backward compute intermediate
-    values again instead of reading them from memory: a formula of a few hundred flops per pixel is faster so. Compiling needs a
-    C++ compiler; without one torch raises at the first call, even where its cache is warm.
+    values again instead of reading them from memory: a formula of a few hundred flops per pixel is faster so, and a graph with a loss
+    in it is not, and takes longer to compile. None: where the graph does not end in a single number. For a loss and its gradients
+    see :func:`torchbrdf.value_and_grad`. Compiling needs a C++ compiler; without one torch raises at the first call, even where its
+    cache is warm.
     """
     if not callable(fn):
         raise TypeError(f"compile: expected a function, a plan or a module, found {type(fn).__name__}")
@@ -24,12 +26,12 @@ def compile(fn: Callable[..., Any], *, fullgraph: bool = True, recompute: bool =
     return torch.compile(fn, fullgraph=fullgraph, backend=backend) if backend else fn
 
 
-def inductor(recompute: bool = False) -> Any:
+def inductor(recompute: bool | None = False) -> Any:
     """The backend of ``torch.compile``; None, with one warning, where there is no C++ compiler."""
     if not torch_compat.has_cpp_compiler():
         _warn_once("no C++ compiler (g++) was found: running eagerly, several times slower; install g++ to compile")
         return None
-    return torch_compat.recomputing_backend() if recompute else "inductor"
+    return "inductor" if recompute is False else torch_compat.recomputing_backend(bool(recompute))
 
 
 def _warn_once(message: str) -> None:

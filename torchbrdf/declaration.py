@@ -47,8 +47,7 @@ class Param:
         """What was given for a parameter as a tensor, of a legal kind and shape; ``where`` names it in errors. Looks at no values."""
         t = _to_tensor(raw, where, self.kind)
         if not self.fits(t):
-            hint = f"; did you mean x.unsqueeze(-1) -> {[*t.shape, 1]}?" if self.event == SCALAR else ""
-            raise ValueError(f"{where}: expected shape {self.shape}, found {list(t.shape)}{hint}")
+            raise ValueError(f"{where}: expected shape {self.shape}, found {list(t.shape)}{arguments.moved(t.shape, self.event)}")
         if self.is_colour and not t.shape[-1]:
             raise ValueError(f"{where}: expected shape {self.shape} with one channel at least, found {list(t.shape)}")
         return t
@@ -70,7 +69,7 @@ def _to_tensor(x: Any, where: str, kind: str) -> Tensor:
     except (TypeError, ValueError, RuntimeError) as error:
         raise TypeError(f"{where}: expected a number, list, array or tensor, found {type(x).__name__} ({error})") from None
     if t.dtype not in _LEGAL[kind]:
-        raise TypeError(f"{where}: expected a tensor of {kind}s, found {t.dtype}; convert it, for example with .to({_EXAMPLE[kind]})")
+        raise TypeError(f"{where}: expected a tensor of {kind}s, found {t.dtype}; {_remedy(t.dtype, kind)}")
     if t.layout != torch.strided:
         raise TypeError(f"{where}: expected a dense tensor, found one of layout {t.layout}; convert it with .to_dense()")
     return t.reshape(1) if t.dim() == 0 else t
@@ -81,4 +80,11 @@ _LEGAL = {
     "int": (torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8),
     "bool": (torch.bool,),
 }
-_EXAMPLE = {"float": "torch.float32", "int": "torch.int64", "bool": "torch.bool"}
+
+
+def _remedy(found: torch.dtype, kind: str) -> str:
+    if kind == "bool":  # as bools, a weight of 0.1 and NaN are true
+        return "compare it, for example x > 0.5"
+    if kind == "int":  # a cast cuts 2.9999999 to 2
+        return "round it: x.round().to(torch.int64)" if found in arguments.FLOATS else "convert it, for example with .to(torch.int64)"
+    return arguments.as_floats(found)

@@ -55,8 +55,7 @@ def bilinear(texels: Tensor, uv: Tensor, wrap: str = "repeat") -> Tensor:
     """
     arguments.floats(texels, "texels")
     arguments.floats(uv, "uv", 2)
-    if texels.dim() != 3 or not texels.numel():
-        raise ValueError(f"texels: expected shape [Ht, Wt, C] with pixels in it, found {list(texels.shape)}")
+    arguments.picture(texels, "texels", "[Ht, Wt, C]")
     if wrap not in WRAPS:
         raise ValueError(f"wrap: found {wrap!r}, legal are {WRAPS}")
     height, width, _ = texels.shape

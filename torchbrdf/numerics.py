@@ -87,13 +87,13 @@ def negligible(dtype: torch.dtype) -> float:
 
 
 def safe_sqrt(x: Tensor, least: float = 0.0) -> Tensor:
-    """``sqrt(x)`` for x > ``least``, else 0. Gradient: the true one there (not capped); else 0, at 0 in place of infinity."""
-    return torch.sqrt(functional.threshold(x, least, 1.0)) * step(x - least)
+    """``sqrt(x)`` for finite x > ``least``, else 0. Gradient: the true one there (not capped); else 0, at 0 in place of infinity."""
+    return finite_or_zero(torch.sqrt(functional.threshold(x, least, math.inf)))
 
 
 def reciprocal_or_zero(x: Tensor, least: float = 0.0) -> Tensor:
     """``1/x`` for x > ``least`` >= 0; 0 with gradient 0 elsewhere."""
-    return step(x - least) / functional.threshold(x, least, 1.0)
+    return torch.reciprocal(functional.threshold(x, least, math.inf))
 
 
 def log1p_power(m: Tensor, exponent: Tensor) -> Tensor:

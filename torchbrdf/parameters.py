@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from . import numerics
+from . import arguments, numerics
 
 
 class Declared(Protocol):
@@ -52,8 +52,25 @@ def check(held: Declared, points: Tensor, name: str, batched: bool = True) -> No
         fits = _matches(t, points) if has_batch else points.is_meta or not t.is_meta
         if not fits:
             raise TypeError(f"{type(held).__name__}.{field}: {kind(t)} beside {name}: {kind(points)}; {_remedy(t, points)}")
+        meant = _picture(t.shape, points.shape[:-1]) if has_batch and spec.event == ("C",) else ""
+        if meant:
+            raise ValueError(f"{type(held).__name__}.{field}: expected shape [..., C], found {list(t.shape)} beside {name}; {meant}")
     for inner in held.nested():
         check(inner, points, name, batched)
+
+
+def _picture(shape: torch.Size, points: torch.Size) -> str:
+    """What a colour most likely is whose last axis is not that of its channels: one the size of the points' own ``[..., H, W]``.
+
+    Pictures are square often enough for such colours to broadcast, and then they would be as many channels as the picture is wide.
+    """
+    if shape[-1] <= arguments.MOST_OF_A_PICTURE:
+        return ""
+    if shape == points[-len(shape) :]:
+        return f"a map without channels is x[..., None] -> {[*shape, 1]}"
+    if len(shape) > 2 and shape[-3] in (1, 3, 4) and shape[-2:] == points[-2:]:
+        return f"channels come last: x.movedim(-3, -1) -> {[*shape[:-3], *shape[-2:], shape[-3]]}"
+    return ""
 
 
 def _matches(t: Tensor, points: Tensor) -> bool:

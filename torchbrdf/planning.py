@@ -15,7 +15,7 @@ from torch import Tensor
 
 from .bsdf.base import Bsdf
 from .bsdf.lobe import Lobe
-from .effects import check, rows
+from .effects import check, doubts, rows
 from .effects.base import AUTO, Contribution, Decision, Effect, Prepared, Scene, Surface
 from .effects.direct import Direct
 from .effects.mirror import Mirror
@@ -156,6 +156,8 @@ def plan(
     if not torch.compiler.is_compiling():
         for checked in (bsdf, *sources):
             validate(checked)
+        g.check()
+        doubts.warn(g, bsdf, sources)
         if isinstance(visibility, Tensor):
             check.check_visible_share(visibility)
     scene = Scene(g, bsdf, sources, mesh, visibility)

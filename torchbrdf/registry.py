@@ -23,9 +23,22 @@ FRESNEL_TERMS = {
 }
 
 # Laws that have several methods (torchbrdf/method.py): the name of each, and the file whose LAWS hold it.
-LAWS: dict[str, str] = {}
+LAWS = {
+    "dielectric": "optics.laws",
+    "conductor": "optics.laws",
+    "phong_lobe": "bsdf.laws",
+    "blinn_lobe": "bsdf.laws",
+}
 
 
 def registered(table: dict[str, str]) -> tuple[type[Any], ...]:
     """The classes of one of the tables above, in order."""
     return tuple(getattr(importlib.import_module(f"{__package__}.{module}"), name) for name, module in table.items())
+
+
+def laws() -> dict[str, Any]:
+    """The laws of the table above, by name."""
+    found = {law.name: law for module in dict.fromkeys(LAWS.values()) for law in importlib.import_module(f"{__package__}.{module}").LAWS}
+    if found.keys() != LAWS.keys():
+        raise LookupError(f"registry.LAWS: {sorted(found.keys() ^ LAWS.keys())} stand in one of the table and the files, not in both")
+    return {name: found[name] for name in LAWS}

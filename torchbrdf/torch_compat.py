@@ -47,9 +47,10 @@ def register_node(
 
 
 @functools.cache  # torch compiles again for a backend that is another object
-def recomputing_backend() -> Any:
+def recomputing_backend(always: bool = False) -> Any:
     """The inductor backend of ``torch.compile`` with a budget of 0 for what the forward pass saves; backward computes it again.
 
+    Not so, unless ``always``, for a graph that gives a single number, a loss: reductions and what a loss adds are dear to compute twice.
     Without the private names: inductor as it is, whose results are the same.
     """
     try:
@@ -62,10 +63,19 @@ def recomputing_backend() -> Any:
         return "inductor"
 
     def recomputing(graph: torch.fx.GraphModule, inputs: Any) -> Any:
+        if not always and _gives_a_number(graph):
+            return compile_fx(graph, inputs)
         with config.patch(activation_memory_budget=0.0):
             return compile_fx(graph, inputs)
 
     return recomputing
+
+
+def _gives_a_number(graph: torch.fx.GraphModule) -> bool:
+    """Whether a result of a traced graph has no axes and a gradient. Without the record that torch keeps of results: no."""
+    (output,) = graph.graph.find_nodes(op="output")
+    found = [node.meta.get("example_value") for node in output.all_input_nodes]
+    return any(isinstance(x, torch.Tensor) and not x.dim() and x.requires_grad for x in found)
 
 
 def has_cpp_compiler() -> bool:

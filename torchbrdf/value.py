@@ -6,6 +6,7 @@ shading points. Parameters with batch axes must match the points themselves.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
@@ -13,7 +14,7 @@ from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 import torch
 from torch import Tensor
 
-from . import arguments, torch_compat
+from . import arguments, synonyms, torch_compat
 from .declaration import COLOUR, PAIR, SCALAR, VECTOR, Param, param
 from .io import files, saved
 
@@ -28,6 +29,21 @@ def has_tensors(x: Any) -> bool:
     return isinstance(x, (Tensor, Value)) or (isinstance(x, (tuple, list)) and any(has_tensors(v) for v in x))
 
 
+def once(compute: Callable[[Any], T]) -> Any:
+    """A property of kinds and shapes, found once: values are frozen. Inside graphs, where it costs nothing, it is found anew."""
+    name = f"_{compute.__name__}"
+
+    def get(self: Any) -> T:
+        if torch.compiler.is_compiling():
+            return compute(self)
+        if name not in self.__dict__:
+            object.__setattr__(self, name, compute(self))
+        found: T = self.__dict__[name]
+        return found
+
+    return property(get, doc=compute.__doc__)
+
+
 class Value:
     """Base of everything made with :func:`value`: everyday handling of a frozen bundle of tensors."""
 
@@ -35,6 +51,7 @@ class Value:
     _params: ClassVar[dict[str, Param]] = {}
     _fields: ClassVar[tuple[str, ...]] = ()
     _optional: ClassVar[frozenset[str]] = frozenset()
+    _unsaid: ClassVar[tuple[str, str]] = ("method", "standard")  # a choice that repr leaves out
 
     def __post_init__(self) -> None:
         """Turn numbers into tensors and check shapes and dtypes (never tensor values: this runs inside graphs)."""
@@ -51,8 +68,7 @@ class Value:
     def check_shapes(self) -> None:
         """Channels must agree (or be 1), axes of one name must have one size, and batch axes must broadcast."""
         channels = {n: t.shape[-1] for n, t, s in self.own_tensors() if s.is_colour and t.shape[-1] != 1}
-        if len(set(channels.values())) > 1:
-            raise ValueError(f"{type(self).__name__}: colour parameters have different numbers of channels: {channels}; use one C, or 1")
+        arguments.one_count(channels, f"{type(self).__name__}: colour parameters have different numbers of channels")
         self._check_named_axes()
         arguments.broadcast({n: tuple(s.batch(t)) for n, t, s in self.own_tensors()}, f"{type(self).__name__}: batch shapes")
 
@@ -79,7 +95,7 @@ class Value:
             if isinstance(getattr(self, name), Tensor):
                 yield name, getattr(self, name), spec
 
-    @property
+    @once
     def own_channels(self) -> int:
         """C of the value's own colours, nested ones apart; 1 if it has none."""
         return max([1, *(t.shape[-1] for _, t, s in self.own_tensors() if s.is_colour)])
@@ -89,7 +105,7 @@ class Value:
         for held in [getattr(self, name) for name in self._fields]:
             yield from (v for v in (held if isinstance(held, (tuple, list)) else (held,)) if isinstance(v, Value))
 
-    @property
+    @once
     def batch_shape(self) -> torch.Size:
         """Broadcast shape of all batch axes, those before the shape of one parameter."""
         shapes = {n: s.batch(t) for n, t, s in self.own_tensors()}
@@ -147,7 +163,8 @@ class Value:
 
     def __repr__(self) -> str:
         shown = ((n, getattr(self, n)) for n in self._fields)
-        return f"{type(self).__name__}({', '.join(f'{n}={_brief(v)}' for n, v in shown if v is not None)})"
+        named = ", ".join(f"{n}={_brief(v)}" for n, v in shown if v is not None and (n, v if isinstance(v, str) else "") != self._unsaid)
+        return f"{type(self).__name__}({named})"
 
     def state(self) -> dict[str, Any]:
         """Plain dictionaries and tensors, from which ``load_value`` makes the value again."""
@@ -177,7 +194,7 @@ def _tensors_in(held: Any, path: str) -> Iterator[tuple[str, Tensor]]:
 
 def _brief(v: Any) -> str:
     if isinstance(v, Tensor):
-        small = v.numel() <= 4 and v.dim() == 1 and not arguments.hidden(v)
+        small = v.numel() <= 4 and v.dim() == 1 and not arguments.values_hidden(v)
         kind = str(v.dtype).removeprefix("torch.")
         return str([round(x, 6) for x in v.tolist()]) if small else f"{kind}{list(v.shape)}"
     return f"({', '.join(map(_brief, v))})" if isinstance(v, tuple) else repr(v)
@@ -206,6 +223,7 @@ def _flatten(v: Value) -> tuple[list[Any], tuple[tuple[str, ...], tuple[tuple[st
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(param, dataclasses.field))
 def value(cls: type[T]) -> type[T]:
     """Class decorator: a frozen dataclass that is its own pytree node, known by name for saving and loading."""
+    own_init = "__init__" in cls.__dict__
     made: Any = dataclasses.dataclass(frozen=True, eq=False, repr=False)(cls)
     made._fields = tuple(f.name for f in dataclasses.fields(made))
     made._optional = frozenset(f.name for f in dataclasses.fields(made) if f.default is None)
@@ -218,7 +236,23 @@ def value(cls: type[T]) -> type[T]:
         saved_as=_name(made),
     )
     VALUES[_name(made)] = made
+    if not own_init:
+        made.__init__ = _with_hints(made)
     return made
+
+
+def _with_hints(made: Any) -> Callable[..., None]:
+    """The ``__init__`` of a dataclass, with an error that says what an unknown argument may have meant."""
+    init, legal = made.__init__, made._fields
+
+    @functools.wraps(init)
+    def __init__(self: Any, *args: Any, **named: Any) -> None:
+        for name in named:
+            if name not in legal:
+                raise TypeError(synonyms.unknown_argument(type(self), name))
+        init(self, *args, **named)
+
+    return __init__
 
 
 def _name(cls: type) -> str:
@@ -233,7 +267,7 @@ def validate(v: Value, _path: str = "") -> None:
     path = _path or type(v).__name__
     v.check()
     for name, tensor, spec in v.own_tensors():
-        if tensor.numel() and spec.kind == "float" and not arguments.hidden(tensor):
+        if tensor.numel() and spec.kind == "float" and not arguments.values_hidden(tensor):
             wrong = spec.constraint.complaint(tensor.detach())
             if wrong:
                 raise ValueError(f"{path}.{name} {list(tensor.shape)}: {wrong}; {spec.constraint.remedy}")

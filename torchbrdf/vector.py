@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from . import arguments, numerics
-from .numerics import step
 
 
 class Vec(NamedTuple):
@@ -80,23 +80,21 @@ def direction_and_inverse_length(v: Vec) -> tuple[Vec, Tensor]:
     A zero vector gives direction 0 and inverse length 0, both with gradient 0; so does one so short that 1 / length, which is
     also the slope of the direction, is not a number of the dtype.
     """
-    return _scaled_to_unit(v, _largest(v))
-
-
-def _largest(v: Vec) -> Tensor:
-    """The largest magnitude of the components, as a constant; NaN where one is NaN."""
     x, y, z = (c.detach().abs() for c in v)
-    return torch.maximum(torch.maximum(x, y), z)
-
-
-def _scaled_to_unit(v: Vec, largest: Tensor) -> tuple[Vec, Tensor]:
-    # Rounding of the scale does not matter: it is common to all components and leaves with their length.
-    shortest = 2.0 / torch.finfo(largest.dtype).max
-    shrink = 1.0 / largest.clamp_min(shortest)
+    shrink = _shrink(torch.maximum(torch.maximum(x, y), z))
     u = scale(v, shrink)
-    # The squares of a usable vector sum to 1, up to rounding; the bound of 1/2 is met by the others alone.
-    inverse = step(largest - shortest) * torch.rsqrt(dot(u, u).clamp_min(0.5))
+    inverse = _inverse_length(u)
     return scale(u, inverse), inverse * shrink
+
+
+def _shrink(largest: Tensor) -> Tensor:
+    """1 / the largest component, a constant; 0 for vectors that count as none. Its rounding does not matter: it leaves with the length."""
+    return torch.reciprocal(functional.threshold(largest, 2.0 / torch.finfo(largest.dtype).max, math.inf))
+
+
+def _inverse_length(u: Vec) -> Tensor:
+    """Of vectors whose largest component is 1, or 0 for those that count as none: the bound of 1/2 is met by these alone."""
+    return torch.rsqrt(dot(u, u).clamp_min(0.5))
 
 
 def direction_and_length(v: Vec) -> tuple[Vec, Tensor]:
@@ -107,15 +105,34 @@ def direction_and_length(v: Vec) -> tuple[Vec, Tensor]:
 
 def normalize_components(v: Vec) -> Vec:
     """Unit vector; zero and non-finite vectors give 0 with gradient 0."""
-    largest = _largest(v)
-    finite = largest < math.inf  # False for NaN
-    x, y, z = (torch.where(finite, c, 0.0) for c in v)
-    return _scaled_to_unit(Vec(x, y, z), numerics.finite_or_zero(largest))[0]
+    x, y, z = (c.detach().abs() for c in v)
+    return _unit(Vec(*map(numerics.finite_or_zero, v)), torch.maximum(torch.maximum(x, y), z))
+
+
+def unit_components(v: Tensor) -> Vec:
+    """``[..., 3]`` to unit length and apart, as :func:`normalize_components`; eagerly with fewer operations."""
+    if torch.compiler.is_compiling():  # components fuse into one loop, a reduction over an axis of 3 does not
+        return normalize_components(components(v))
+    largest = v.detach().abs().amax(-1)
+    return _unit(finite_components(v), largest)
+
+
+def finite_components(v: Tensor) -> Vec:
+    """``[..., 3]`` apart, with 0, and gradient 0, for what is not finite; eagerly in one operation."""
+    if torch.compiler.is_compiling():
+        return Vec(*map(numerics.finite_or_zero, components(v)))
+    return components(numerics.finite_or_zero(v))
+
+
+def _unit(v: Vec, largest: Tensor) -> Vec:
+    """Of vectors whose components are finite, or were not and now are; of those ``largest`` is infinite or NaN."""
+    u = scale(v, _shrink(torch.where(largest < math.inf, largest, math.inf)))
+    return scale(u, _inverse_length(u))
 
 
 def normalize(v: Tensor) -> Tensor:
     """``[..., 3]`` to unit length; zero and non-finite vectors become 0 with gradient 0."""
-    return _stacked(normalize_components(_widened(v, "v")), v)
+    return _stacked(unit_components(numerics.widen(arguments.floats(v, "v", 3))), v)
 
 
 def _widened(v: Tensor, name: str) -> Vec:

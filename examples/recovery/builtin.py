@@ -84,6 +84,6 @@ def largest_half_angle(problem: Problem) -> float:
     """The largest angle(wi, h), in degrees, on pixels that a light reaches."""
     view = problem.views[0]
     wi = problem.lights(view.g)[0].sample(view.g.position).wi
-    lit = ((wi * view.g.normal).sum(-1) > 0) & (view.visibility.squeeze(-1) > 0) & view.g.valid.squeeze(-1)
-    cosine = (wi * view.g.require_view()).sum(-1)[lit]
+    reached = ((wi * view.g.normal).sum(-1) > 0) & (view.visibility.squeeze(-1) > 0) & view.g.valid.squeeze(-1)
+    cosine = (wi * view.g.require_view()).sum(-1)[reached]
     return float(torch.rad2deg(torch.acos(cosine.clamp(-1, 1)) / 2).max())

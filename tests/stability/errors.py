@@ -39,7 +39,8 @@ def value_errors(case: Case, dtype: torch.dtype, truth: Truth, values: list[np.n
         ]
     if case.error == "exp":
         unit = [np.maximum(_exponential_unit(case, dtype, truth, t), u) for t, u in zip(truth.values, unit, strict=True)]
-    errors = [np.abs(v - t) / u for v, t, u in zip(values, truth.values, unit, strict=True)]
+    with np.errstate(invalid="ignore"):  # what is not finite is counted elsewhere
+        errors = [np.abs(v - t) / u for v, t, u in zip(values, truth.values, unit, strict=True)]
     return np.max([e.astype(np.float64) for e in errors], 0)
 
 
@@ -67,7 +68,8 @@ def slope_errors(case: Case, dtype: torch.dtype, truth: Truth, slopes: list[np.n
         length = dual.sqrt(sum(t * t for t in truth.slopes))
         size = np.maximum(size, length)
     size = floored(size, dtype)
-    errors = [np.abs(s - t) / np.maximum(np.abs(t), size) for s, t in zip(slopes, truth.slopes, strict=True)]
+    with np.errstate(invalid="ignore"):
+        errors = [np.abs(s - t) / np.maximum(np.abs(t), size) for s, t in zip(slopes, truth.slopes, strict=True)]
     return np.max([e.astype(np.float64) for e in errors], 0)
 
 

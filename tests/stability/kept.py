@@ -1,5 +1,5 @@
 """Exact results kept between runs, in ``.cache/truths`` of the checkout: they are what takes the time, and they change only with
-the files of this folder that say what is true and where. The name of the folder within is a hash of those files and of the
+the files that say what is true and where. The name of the folder within is a hash of those files and of the
 packages behind them, so that nothing stale is ever read; ``rm -r .cache`` costs nothing but time.
 """
 
@@ -20,13 +20,15 @@ import gmpy2
 import numpy as np
 import torch
 
+from torchbrdf.ledger import exact
 from torchbrdf.testing import textbook
 
 from . import dual
 
 HERE = Path(__file__).resolve().parent
 FOLDER = HERE.parents[1] / ".cache" / "truths"
-SOURCES = ("case.py", "dual.py", "truth.py", "kept.py", "cases/*.py")  # of the package a truth takes ``Case.source`` alone, and Point
+SOURCES = ("case.py", "truth.py", "kept.py", "cases/*.py")  # of this folder
+OF_THE_PACKAGE = (exact.__file__, textbook.__file__)  # of the package a truth takes these, and ``Case.source``
 DIGITS = 160  # bits that are kept of each exact number: a hundred more than the results that it is compared with have
 
 shortened = np.frompyfunc(lambda x: gmpy2.round2(x, DIGITS) if x else x, 1, 1)
@@ -36,7 +38,7 @@ shortened = np.frompyfunc(lambda x: gmpy2.round2(x, DIGITS) if x else x, 1, 1)
 def version() -> str:
     """Of the truths: changes with the sources and with the packages that draw and compute."""
     found = hashlib.sha256(f"{sys.version_info[:2]} {gmpy2.version()} {gmpy2.mpfr_version()} {np.__version__} {torch.__version__}".encode())
-    for path in (*sorted(p for pattern in SOURCES for p in HERE.glob(pattern)), Path(textbook.__file__)):
+    for path in (*sorted(p for pattern in SOURCES for p in HERE.glob(pattern)), *map(Path, OF_THE_PACKAGE)):
         found.update(path.name.encode() + path.read_bytes())
     return found.hexdigest()[:16]
 

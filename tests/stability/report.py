@@ -191,7 +191,7 @@ Look up here how exact a formula is before you build on it: the errors of its va
 compiled, at hard inputs as well as at everyday ones, and beside textbook code and Mitsuba. Rows are formulas; the columns are explained below.
 
 {{formulas}} formulas are measured against exact arithmetic, at 10 000 points at least each, in four dtypes. The exact value is the textbook's formula in 320 to
-2600 bits with exact first and second derivatives (dual numbers over arbitrary-precision floats, `tests/stability/dual.py`); inputs are exactly
+2600 bits with exact first and second derivatives (dual numbers over arbitrary-precision floats, `torchbrdf/ledger/exact.py`); inputs are exactly
 the numbers of the dtype. What a value and a slope *ought* to be at an edge is said in [numerics](numerics.md), and the exact value follows that.
 
 | column | meaning |

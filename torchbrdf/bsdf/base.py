@@ -14,7 +14,7 @@ from torch import Tensor
 from .. import arguments, numerics, parameters, vector
 from ..geometry import Channels, Geometry, Layout, Viewer
 from ..optics.fresnel import Fresnel
-from ..value import Value
+from ..value import Value, once
 from ..vector import Vec
 from .lobe import BSDFSample, Delta, Draw, Lobe
 
@@ -47,9 +47,8 @@ class Bsdf(Value):
         """As every value; and what it holds (Fresnel terms, other models) must have the same channels, or 1."""
         super().check_shapes()
         held = [v for v in self.nested() if isinstance(v, (Bsdf, Fresnel))]
-        counts = [("own parameters", self.own_channels), *((type(v).__name__, v.channels) for v in held)]
-        if len({c for _, c in counts} - {1}) > 1:
-            raise ValueError(f"{type(self).__name__}: different numbers of colour channels: {counts}; use one C, or 1")
+        counts = {"own parameters": self.own_channels, **{f"{k} {type(v).__name__}": v.channels for k, v in enumerate(held)}}
+        arguments.one_count(counts, f"{type(self).__name__}: different numbers of colour channels")
 
     # What a model says of itself ---------------------------------------------------------------------------------------
 
@@ -175,7 +174,7 @@ class Bsdf(Value):
         """Whether colours of this model broadcast as ``[..., C]`` rather than channel by channel."""
         return self.channels > PLANAR_CHANNELS
 
-    @property
+    @once
     def channels(self) -> int:
         """C, the number of colour channels of the result."""
         return max(self.own_channels, *(v.channels for v in self.nested() if isinstance(v, (Bsdf, Fresnel))), 1)
@@ -230,9 +229,8 @@ class Bsdf(Value):
 
 
 def _unit(layout: Layout, v: Tensor, assume_unit: bool) -> Vec:
-    parts = vector.components(numerics.widen(v))
-    if not assume_unit:
-        parts = vector.normalize_components(parts)
+    wide = numerics.widen(v)
+    parts = vector.components(wide) if assume_unit else vector.unit_components(wide)
     return Vec(*map(layout.lift, parts))
 
 

@@ -1,1 +1,1 @@
-"""Floor 3: the reflection equation, one effect a file. A plan decides which of them exist."""
+"""Layer 3: the reflection equation, one effect a file. A plan decides which of them exist."""

@@ -86,14 +86,15 @@ class Surface(NamedTuple):
         """Directions are normalised here, once; zero and non-finite ones become 0, which no domain contains."""
         layout = Layout.beside(g.position, wide)
 
-        def parts(v: Tensor) -> Vec:
-            return Vec(*map(layout.lift, vector.components(numerics.widen(v))))
+        def lifted(v: Vec) -> Vec:
+            return Vec(*map(layout.lift, v))
 
-        n, wo = (vector.normalize_components(parts(v)) for v in (g.normal, g.require_view()))
-        tangent = None if g.tangent is None else parts(g.tangent)
+        n, wo = (lifted(vector.unit_components(numerics.widen(v))) for v in (g.normal, g.require_view()))
+        tangent = None if g.tangent is None else lifted(vector.components(numerics.widen(g.tangent)))
         handedness = None if g.handedness is None else layout.lift(g.handedness.squeeze(-1))
         mask = None if g.mask is None else layout.lift(g.mask.squeeze(-1))
-        position = Vec(*map(numerics.finite_or_zero, parts(g.position)))
+        missing = (None,) * (len(g.batch_shape) + 1 - g.position.dim())  # lights stand before the axes of all points
+        position = lifted(vector.finite_components(numerics.widen(g.position[missing] if missing else g.position)))
         return Surface(position, Viewer(wo, n, tangent, handedness, layout), mask, g.batch_shape)
 
     def cosine(self, bsdf: Bsdf, g: Geometry) -> Tensor:

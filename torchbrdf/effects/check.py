@@ -8,7 +8,7 @@ from torch import Tensor
 
 from .. import arguments, parameters
 from ..bsdf.base import Bsdf
-from ..light.base import Light, LightKind
+from ..light.base import DeltaLight, Light, LightKind
 from ..scene.gbuffer import GBuffer
 from ..scene.mesh import Mesh
 
@@ -36,12 +36,11 @@ def check_scene(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int:
     _check_kinds(g, bsdf, lights)
     if not expands_to(bsdf.batch_shape, g.batch_shape):
         raise ValueError(
-            f"bsdf: parameters of batch shape {list(bsdf.batch_shape)} do not fit a G-buffer of {list(g.batch_shape)}; "
-            "give parameters [C] or [H, W, C], or look textures up with tb.nn.Texture"
+            f"bsdf: parameters of batch shape {list(bsdf.batch_shape)} do not fit a G-buffer of {list(g.batch_shape)}; give parameters [C] "
+            "or [H, W, C], look textures up with tb.nn.Texture, or shade many materials: torch.vmap(lambda b: tb.shade(g, b, lights))(bsdf)"
         )
     counts = {"bsdf": bsdf.channels, **{f"lights[{k}]": light.channels for k, light in enumerate(lights)}}
-    if len(set(counts.values()) - {1}) > 1:
-        raise ValueError(f"bsdf and lights have different numbers of colour channels: {counts}; use one C, or 1")
+    arguments.one_count(counts, "bsdf and lights have different numbers of colour channels")
     return max(list(counts.values()))
 
 
@@ -62,14 +61,16 @@ def _check_kinds(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
     for k, light in enumerate(lights):
         _check_axes(light, k)
         parameters.check(light, at, "the G-buffer's position", batched=False)
+        if isinstance(light, DeltaLight):
+            light.check_views(g.batch_shape, "a G-buffer")
 
 
 def _check_axes(light: Light, k: int) -> None:
-    """Lights have one axis at most, L; stacked ones have more."""
-    if len(light.batch_shape) > (light.kind is LightKind.DELTA):
+    """Lights that are no points or directions are one each; stacked ones have an axis."""
+    if light.batch_shape and light.kind is not LightKind.DELTA:
         found = f"{type(light).__name__} of batch shape {list(light.batch_shape)}"
         raise ValueError(
-            f"lights[{k}]: {found} is several sets of lights; take one, light[i], or shade each view under its own: "
+            f"lights[{k}]: {found} is several lights; take one, light[i], or shade each view under its own: "
             "torch.vmap(lambda g, light: tb.shade(g, bsdf, light))(g, light)"
         )
 
@@ -99,7 +100,7 @@ def check_visibility(shadows: Tensor, lights: Sequence[Light], g: GBuffer) -> Te
 
 def check_visible_share(shadows: Tensor) -> None:
     """Visibility is the share of a light that arrives. Looks at values: not for graphs or transforms."""
-    if arguments.hidden(shadows) or not shadows.numel() or shadows.dtype == torch.bool or shadows.is_complex():
+    if arguments.values_hidden(shadows) or not shadows.numel() or shadows.dtype == torch.bool or shadows.is_complex():
         return
     low, high = (float(x) for x in torch.aminmax(shadows.detach()))
     if not (low >= 0 and high <= 1):

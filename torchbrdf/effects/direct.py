@@ -43,13 +43,13 @@ class Direct(Effect):
     def run(self, bsdf: Bsdf, surface: Surface, lights: Sequence[tuple[int, Light]], prepared: Prepared) -> list[Contribution]:
         shadow = prepared.of("shadow")
         visibility = None if shadow is None else shadow.share
-        found, seen = [], 0  # a visibility counts these lights alone
+        found, before = [], 0  # a visibility counts these lights alone
         for first, light in lights:
             assert isinstance(light, DeltaLight)
             for rows, group in light.groups(group_size(surface, len(light))):
-                mine = slice(seen + rows.start, seen + rows.stop)
+                mine = slice(before + rows.start, before + rows.stop)
                 found.append(_group(bsdf, surface, group, first + rows.start, None if visibility is None else visibility[mine]))
-            seen += len(light)
+            before += len(light)
         return found
 
 

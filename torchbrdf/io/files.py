@@ -42,16 +42,16 @@ def writable(path: str | Path, who: str, legal: tuple[str, ...]) -> Path:
     return path
 
 
-def believable(size: int) -> int:
+def plausible_size(size: int) -> int:
     """How many decoded bytes are believed of a file of ``size`` bytes."""
     return max(MAX_DECODED_BYTES, MAX_EXPANSION * size)
 
 
 def check_claim(claimed: int, size: int, what: str) -> None:
     """Raise ``ValueError`` if a file of ``size`` bytes claims, by ``what``, more decoded bytes than are believed of it."""
-    if claimed > believable(size):
+    if claimed > plausible_size(size):
         raise ValueError(
-            f"{what}: {_amount(claimed)}, which its {size} bytes cannot hold (at most {_amount(believable(size))} is believed; "
+            f"{what}: {_amount(claimed)}, which its {size} bytes cannot hold (at most {_amount(plausible_size(size))} is believed; "
             "for a file that you trust, raise torchbrdf.io.files.MAX_DECODED_BYTES)"
         )
 

@@ -1,1 +1,1 @@
-"""Floor 2: the lights. One kind, one file."""
+"""Layer 2: the lights. One kind, one file."""

@@ -11,7 +11,7 @@ kind           reaches a point                                 its ``radiance`` 
 
 import enum
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import ClassVar, NamedTuple
 
 import torch
@@ -77,7 +77,8 @@ class Arrival(NamedTuple):
 class DeltaLight(Light):
     """Interface of lights that reach each point from one direction: each answers with irradiance on a plane facing it.
 
-    Parameters are ``[L, k]``; ``[k]`` stands for one light.
+    Parameters are ``[L, k]``; ``[k]`` stands for one light, and ``[B, L, k]`` for L lights in each of B views: leading axes go with the
+    leading axes of the points, ``[B, ..., 3]``, and never widen them.
     """
 
     kind = LightKind.DELTA
@@ -88,17 +89,21 @@ class DeltaLight(Light):
             object.__setattr__(self, name, t.unsqueeze(0) if t.dim() == 1 else t)
 
     def check_shapes(self) -> None:
-        """As every value, with one batch axis at most, of one light at least."""
+        """As every value, of one light at least."""
         for name, t, _ in self.own_tensors():
-            if t.dim() > 2 or not t.numel():
-                many = "flatten lights that all views share; for other lights in each view make one light a view, tb.stack and torch.vmap"
-                remedy = many if t.dim() > 2 else "leave out lights that there are none of"
-                raise ValueError(f"{type(self).__name__}.{name}: expected shape [L, {t.shape[-1]}], found {list(t.shape)}; {remedy}")
+            if not t.numel():
+                where = f"{type(self).__name__}.{name}: expected shape [L, {t.shape[-1]}]"
+                raise ValueError(f"{where}, found {list(t.shape)}; leave out lights that there are none of")
         super().check_shapes()
 
     def __len__(self) -> int:
         batch = self.batch_shape  # empty for what indexing and vmap make: one light
-        return int(batch[0]) if batch else 1
+        return int(batch[-1]) if batch else 1
+
+    @property
+    def views(self) -> torch.Size:
+        """The leading axes ``B`` of lights that differ from view to view; none where all points share them."""
+        return self.batch_shape[:-1]
 
     @abstractmethod
     def arrive(self, points: Vec, layout: Layout) -> Arrival:
@@ -113,12 +118,13 @@ class DeltaLight(Light):
         count = len(self)
         for first in range(0, count, size):
             rows = slice(first, min(first + size, count))
-            yield rows, self if rows == slice(0, count) else self[rows]
+            yield rows, self if rows == slice(0, count) else self[..., rows]
 
     def sample(self, points: Tensor, u: Tensor | None = None) -> LightSample:
         """``radiance`` is the irradiance on a plane facing the light; ``u`` is not needed."""
         layout = Layout.beside(arguments.floats(points, "points", 3))
         parameters.check(self, points, "points", batched=False)
+        self.check_views(points.shape[:-1], "points")
         at = layout.vector(numerics.widen(points))
         found = self.arrive(at, layout)
         shape = (len(self), *points.shape[:-1])
@@ -135,13 +141,26 @@ class DeltaLight(Light):
         """0: no ray meets a delta light."""
         return wi.new_zeros(*wi.shape[:-1], self.channels)
 
+    def check_views(self, batch: Sequence[int], name: str) -> None:
+        """Raise ``ValueError`` where the views of the lights are not those of points of shape ``batch``, called ``name``."""
+        if not arguments.leads(self.views, batch):
+            raise ValueError(
+                f"{type(self).__name__}: batch shape {list(self.batch_shape)}, read as {list(self.views)} views with {len(self)} lights "
+                f"each, does not fit {name} of {list(batch)}, whose leading axes are the views; give [L, 3] for all or [B, L, 3] by view"
+            )
+
     def axis(self, parameter: Tensor, points: Vec, layout: Layout) -> tuple[Tensor, ...]:
-        """The columns of a parameter ``[L, k]`` beside points ``[...]``: ``[L, 1, ...]``, or ``[]`` of a single light."""
-        rows = layout.follow(parameter, axes=2)
-        columns = rows.expand(len(self), rows.shape[-1]).unbind(-1)
-        if len(self) == 1:
-            return tuple(c.squeeze(0) for c in columns)
-        return tuple(c.reshape(-1, *(1,) * points.x.dim()) for c in columns)
+        """The columns of a parameter ``[L, k]`` beside points ``[...]``: ``[L, 1, ...]``, or ``[]`` of a single light.
+
+        Those of ``[B, L, k]`` are ``[L, B, 1, ...]``, or ``[B, 1, ...]`` of a single light in each view.
+        """
+        count, views = len(self), self.views
+        rows = layout.follow(parameter, axes=parameter.dim())
+        columns = rows.expand(*views, count, rows.shape[-1]).unbind(-1)
+        behind = (1,) * (points.x.dim() - len(views))
+        if count > 1:
+            return tuple(c.movedim(-1, 0).reshape(count, *views, *behind) for c in columns)
+        return tuple(c.reshape(*views, *behind) if views else c.squeeze(0) for c in columns)
 
     def colour_axis(self, colour: Tensor, points: Vec, layout: Layout) -> Channels:
         """A colour ``[L, C]`` as channels beside points."""

@@ -7,6 +7,8 @@ direction   [L, 3], any length    *to* the light; normalised inside
 irradiance  [L, C] >= 0, W/m^2    on a plane that faces the light
 ==========  ====================  ==============================================
 
+``[B, L, 3]`` and ``[B, L, C]`` are L lights in each of B views: the leading axes go with those of the points ``[B, ..., 3]``.
+
 A direction of length 0 is no direction: such a light gives nothing (gradient 0). Source: Lambert 1760.
 
 >>> import torch, torchbrdf as tb
@@ -28,7 +30,10 @@ from .base import Arrival, DeltaLight
 
 @value
 class DirectionalLight(DeltaLight):
-    """L parallel lights; ``direction [L, 3]`` points to the light, ``irradiance [L, C]`` is on a plane facing it."""
+    """L parallel lights; ``direction [L, 3]`` points to the light, ``irradiance [L, C]`` is on a plane facing it.
+
+    ``[B, L, ...]`` are L lights in each of B views.
+    """
 
     direction: Tensor = param(REAL, VECTOR, "to the light")
     irradiance: Tensor = param(NONNEGATIVE, COLOUR, "on a plane facing the light, W/m^2")

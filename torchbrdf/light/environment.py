@@ -83,7 +83,8 @@ class EnvironmentMap(Light):
     def check_shapes(self) -> None:
         if not isinstance(self.convention, str) or self.convention not in ORIENTATIONS:
             raise ValueError(f"EnvironmentMap.convention: found {self.convention!r}, legal are {sorted(ORIENTATIONS)}")
-        if self.batch_shape or not self.texels.numel():
+        arguments.picture(self.texels, "EnvironmentMap.texels", "[Hm, Wm, C]")
+        if self.batch_shape:
             found = {n: list(t.shape) for n, t, _ in self.own_tensors()}
             raise ValueError(f"EnvironmentMap: expected texels [Hm, Wm, C] with pixels in them and to_world [3, 3], found {found}")
 

@@ -9,6 +9,8 @@ position   [L, 3], any          where the lights are
 intensity  [L, C] >= 0, W/sr    radiant intensity, per channel
 =========  ===================  ================================
 
+``[B, L, 3]`` and ``[B, L, C]`` are L lights in each of B views: the leading axes go with those of the points ``[B, ..., 3]``.
+
 A point that coincides with a light receives nothing from it (gradient 0). A light nearer than 1e-19 (float32), whose falloff would
 overflow, counts as that near (gradient 0 by the distance). Source: Lambert 1760.
 
@@ -29,7 +31,7 @@ from .base import Arrival, DeltaLight
 
 @value
 class PointLight(DeltaLight):
-    """L point lights at ``position [L, 3]`` of radiant ``intensity [L, C]``."""
+    """L point lights at ``position [L, 3]`` of radiant ``intensity [L, C]``; ``[B, L, ...]`` in each of B views."""
 
     position: Tensor = param(REAL, VECTOR, "where the lights are")
     intensity: Tensor = param(NONNEGATIVE, COLOUR, "radiant intensity, W/sr")

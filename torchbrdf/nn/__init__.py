@@ -1,4 +1,4 @@
-"""Floor 4: learning. Fields give parameters at pixels, a material turns them into a BSDF, a shader into radiance."""
+"""Layer 4: learning. Fields give parameters at pixels, a material turns them into a BSDF, a shader into radiance."""
 
 from .fields import Channel, Constant, Field, Learned, PerMaterial
 from .material import Material, MaterialSum

@@ -48,6 +48,8 @@ class Stored(Field):
                 f"{kind}: expected a start, found a tensor that requires a gradient, which a copy of it could not give; "
                 "pass x.detach(), or give x itself to tb.nn.Material (a texture by tb.bilinear)"
             )
+        if start.dtype == torch.uint8:
+            raise TypeError(f"{type(self).__name__}: found torch.uint8; {arguments.as_floats(start.dtype)}")
         if not start.numel() or start.is_complex():
             raise ValueError(f"{type(self).__name__}: expected real numbers, one at least, found {start.dtype} {list(start.shape)}")
         keeps = isinstance(init, Tensor) and init.is_floating_point()  # numbers, lists and arrays take torch's default dtype
@@ -141,7 +143,7 @@ class PerMaterial(Stored):
 
     def _check_ids(self, ids: Tensor) -> None:
         """Where values can be looked at; elsewhere an id beyond the table ends in an index error of torch."""
-        if not arguments.hidden(ids) and ids.numel() and int(ids.amax()) >= self.raw.shape[0]:
+        if not arguments.values_hidden(ids) and ids.numel() and int(ids.amax()) >= self.raw.shape[0]:
             rows = self.raw.shape[0]
             raise ValueError(f"PerMaterial.table: {rows} rows serve the ids 0 to {rows - 1}, found id {int(ids.amax())}; give it more rows")
 

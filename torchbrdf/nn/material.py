@@ -5,6 +5,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from .. import synonyms
 from ..bsdf.base import Bsdf
 from ..scene.gbuffer import GBuffer
 from ..value import Value
@@ -34,7 +35,8 @@ class Material(nn.Module):
         model = self.model.__name__
         unknown = given - set(self.model._fields)
         if unknown:
-            raise TypeError(f"Material({model}): unknown parameter {sorted(unknown)}; legal are {list(self.model._fields)}")
+            hint = synonyms.argument(self.model, min(unknown))
+            raise TypeError(f"Material({model}): unknown parameter {sorted(unknown)}; {hint}legal are {list(self.model._fields)}")
         needed = {f.name for f in dataclasses.fields(self.model) if f.default is dataclasses.MISSING}  # type: ignore[arg-type]
         if needed - given:
             raise TypeError(f"Material({model}): missing parameter {sorted(needed - given)}; give a number, a tensor or a field")

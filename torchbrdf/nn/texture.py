@@ -21,8 +21,7 @@ class Texture(Stored):
 
     def __init__(self, texels: Any, learned: bool = True, srgb: bool = False, wrap: str = "repeat") -> None:
         super().__init__(texels, learned)
-        if self.raw.dim() != 3 or not self.raw.numel():
-            raise ValueError(f"Texture.texels: expected shape [Ht, Wt, C], found {list(self.raw.shape)}")
+        arguments.picture(self.raw, "Texture.texels", "[Ht, Wt, C]")
         if wrap not in WRAPS:
             raise ValueError(f"Texture.wrap: found {wrap!r}, legal are {WRAPS}")
         if srgb and self.raw.shape[-1] not in (1, 3):

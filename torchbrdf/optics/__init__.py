@@ -1,1 +1,1 @@
-"""Floor 1: one optical effect a file; the exact law first, its approximations below it."""
+"""Layer 1: one optical effect a file; the exact law first, its approximations below it."""

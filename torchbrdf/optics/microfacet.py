@@ -72,10 +72,10 @@ def ggx_d(cos_h: Tensor, sin2_h: Tensor | float, alpha: Tensor | float) -> Tenso
     gradient 0 for ``cos_h`` <= 0; at most ``1 / (pi alpha^2)``.
     """
     (c, s2, alpha), dtype = working(cos_h, sin2_h, alpha)
-    lit = step(c)
+    above = step(c)
     q = numerics.positive(s2) / alpha + alpha * (c * c)
-    root = 1.0 / (q + (1.0 - lit))
-    return numerics.rounded_back(root * root * (lit * (1.0 / math.pi)), dtype)
+    root = 1.0 / (q + (1.0 - above))
+    return numerics.rounded_back(root * root * (above * (1.0 / math.pi)), dtype)
 
 
 def ggx_d_anisotropic(x: Tensor, y: Tensor, z: Tensor, alpha_x: Tensor | float, alpha_y: Tensor | float) -> Tensor:
@@ -85,9 +85,9 @@ def ggx_d_anisotropic(x: Tensor, y: Tensor, z: Tensor, alpha_x: Tensor | float, 
     overflow with that). 0 with gradient 0 for ``z`` <= 0, the zero vector included.
     """
     (x, y, z, alpha_x, alpha_y), dtype = working(x, y, z, alpha_x, alpha_y)
-    x2, y2, z2, lit = _squares(x, y, z)
+    x2, y2, z2, above = _squares(x, y, z)
     ratio = (x2 + y2 + z2) / (x2 / (alpha_x * alpha_x) + y2 / (alpha_y * alpha_y) + z2)
-    return numerics.rounded_back(ratio * ratio / (math.pi * (alpha_x * alpha_y)) * lit, dtype)
+    return numerics.rounded_back(ratio * ratio / (math.pi * (alpha_x * alpha_y)) * above, dtype)
 
 
 def beckmann_d(cos_h: Tensor, sin2_h: Tensor | float, alpha: Tensor | float) -> Tensor:
@@ -103,16 +103,16 @@ def beckmann_d(cos_h: Tensor, sin2_h: Tensor | float, alpha: Tensor | float) -> 
 def beckmann_d_anisotropic(x: Tensor, y: Tensor, z: Tensor, alpha_x: Tensor | float, alpha_y: Tensor | float) -> Tensor:
     """Beckmann distribution of normals, in 1/sr; arguments as :func:`ggx_d_anisotropic`, edges as :func:`beckmann_d`."""
     (x, y, z, alpha_x, alpha_y), dtype = working(x, y, z, alpha_x, alpha_y)
-    x2, y2, z2, lit = _squares(x, y, z)
+    x2, y2, z2, above = _squares(x, y, z)
     cos2 = z2 / (x2 + y2 + z2)
     slope2 = x2 / (alpha_x * alpha_x) + y2 / (alpha_y * alpha_y)
-    return numerics.rounded_back(_gaussian(slope2, z2, torch.sqrt(alpha_x * alpha_y) * cos2, lit), dtype)
+    return numerics.rounded_back(_gaussian(slope2, z2, torch.sqrt(alpha_x * alpha_y) * cos2, above), dtype)
 
 
-def _gaussian(numerator: Tensor, denominator: Tensor, root: Tensor, lit: Tensor) -> Tensor:
-    """``(exp(-numerator / (2 denominator)) / root)^2 / pi``, flushed to 0 below the smallest normal number, and 0 unless ``lit``."""
+def _gaussian(numerator: Tensor, denominator: Tensor, root: Tensor, above: Tensor) -> Tensor:
+    """``(exp(-numerator / (2 denominator)) / root)^2 / pi``, flushed to 0 below the smallest normal number, and 0 unless ``above``."""
     tiny = numerics.tiny(root.dtype)
-    alive = lit * step(-2.0 * math.log(tiny) * denominator - numerator)
+    alive = above * step(-2.0 * math.log(tiny) * denominator - numerator)
     dead = 1.0 - alive
     exponent = -0.5 * (numerator * alive) / (denominator * alive + dead)
     root_of_d = torch.exp(exponent) * alive / (root * alive + dead)
@@ -125,8 +125,8 @@ def _squares(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor, T
 
     The largest component is brought to [1, 2), without rounding: fourth powers, and 1e4 times more, are in range then.
     """
-    lit = step(z)
-    x, y, z = x * lit, y * lit, z * lit + (1.0 - lit)
+    above = step(z)
+    x, y, z = x * above, y * above, z * above + (1.0 - above)
     scale = power_of_two_below(torch.maximum(torch.maximum(x.abs(), y.abs()), z))
     x, y, z = x / scale, y / scale, z / scale
-    return x * x, y * y, z * z, lit
+    return x * x, y * y, z * z, above

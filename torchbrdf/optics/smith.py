@@ -41,7 +41,7 @@ def ggx_lambda(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     inf, its limit, with gradient 0 at and below the horizon: ``1 / (1 + Lambda)`` is 0 there, as G1 is.
     """
     (cos, a), dtype = working(cos, alpha_sin)
-    c = _lit(cos)
+    c = _above(cos)
     k, larger, _ = _smaller_over_larger(c, a)
     root = torch.sqrt(1.0 + k * k)
     slope = a / c
@@ -57,7 +57,7 @@ def ggx_g1(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     1 at ``alpha_sin = 0``; 0 with gradient 0 at and below the horizon, where it tends to 0 with the slope ``2 / alpha_sin``.
     """
     (cos, a), dtype = working(cos, alpha_sin)
-    return numerics.rounded_back(_masking(_ggx_x(_lit(cos), a)) * step(cos), dtype)
+    return numerics.rounded_back(_masking(_ggx_x(_above(cos), a)) * step(cos), dtype)
 
 
 def ggx_g2(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, alpha_sin_o: Tensor | float) -> Tensor:
@@ -66,8 +66,8 @@ def ggx_g2(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, alpha_sin_
     0 with gradient 0 unless both cosines are > 0.
     """
     (ci, ai, co, ao), dtype = working(cos_i, alpha_sin_i, cos_o, alpha_sin_o)
-    i, o, lit = _both_lit(ci, co)
-    return numerics.rounded_back(_correlated(_ggx_x(i, ai), _ggx_x(o, ao)) * lit, dtype)
+    i, o, above = _both_above(ci, co)
+    return numerics.rounded_back(_correlated(_ggx_x(i, ai), _ggx_x(o, ao)) * above, dtype)
 
 
 def ggx_visibility(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, alpha_sin_o: Tensor | float) -> Tensor:
@@ -76,11 +76,11 @@ def ggx_visibility(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, al
     0 with gradient 0 unless both cosines are > 0; it jumps there. inf where it overflows (both cosines about 1e-38).
     """
     (ci, ai, co, ao), dtype = working(cos_i, alpha_sin_i, cos_o, alpha_sin_o)
-    i, o, lit = _both_lit(ci, co)
+    i, o, above = _both_above(ci, co)
     ri, ro = torch.hypot(i, ai), torch.hypot(o, ao)
     unit = power_of_two_below(o * ri + i * ro)  # so that no power of a small denominator overflows in derivatives
     value = (0.5 / unit) / ((o / unit) * ri + (i / unit) * ro)
-    return numerics.rounded_back(value * lit, dtype)
+    return numerics.rounded_back(value * above, dtype)
 
 
 def beckmann_lambda(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
@@ -90,7 +90,7 @@ def beckmann_lambda(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     below the smallest normal number (nu > 8.8 in float32), ``alpha_sin = 0`` included.
     """
     (cos, a), dtype = working(cos, alpha_sin)
-    c, a, w = _beckmann_tail(_lit(cos), a)
+    c, a, w = _beckmann_tail(_above(cos), a)
     value = functional.threshold((0.5 * a * w) / c, numerics.tiny(w.dtype), 0.0)
     return numerics.rounded_back(value.masked_fill(cos <= 0, math.inf), dtype)
 
@@ -101,14 +101,14 @@ def beckmann_g1(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     1 at ``alpha_sin = 0``; 0 with gradient 0 at and below the horizon.
     """
     (cos, a), dtype = working(cos, alpha_sin)
-    return numerics.rounded_back(_masking(_beckmann_x(_lit(cos), a)) * step(cos), dtype)
+    return numerics.rounded_back(_masking(_beckmann_x(_above(cos), a)) * step(cos), dtype)
 
 
 def beckmann_g2(cos_i: Tensor, alpha_sin_i: Tensor | float, cos_o: Tensor, alpha_sin_o: Tensor | float) -> Tensor:
     """Height-correlated masking and shadowing of Beckmann, in [0, 1]; arguments and edges as :func:`ggx_g2`."""
     (ci, ai, co, ao), dtype = working(cos_i, alpha_sin_i, cos_o, alpha_sin_o)
-    i, o, lit = _both_lit(ci, co)
-    return numerics.rounded_back(_correlated(_beckmann_x(i, ai), _beckmann_x(o, ao)) * lit, dtype)
+    i, o, above = _both_above(ci, co)
+    return numerics.rounded_back(_correlated(_beckmann_x(i, ai), _beckmann_x(o, ao)) * above, dtype)
 
 
 def beckmann_lambda_walter(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
@@ -117,22 +117,22 @@ def beckmann_lambda_walter(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     As published it is negative, down to -5e-5, between 1.548 and 1.6, and jumps to 0 there; here that stretch is 0.
     """
     (cos, a), dtype = working(cos, alpha_sin)
-    c = _lit(cos)
+    c = _above(cos)
     near = step(1.59 * a - c)  # just beyond the first root of the numerator, which is positive again past the second
     nu = (c * near + (1.0 - near)) / (a * near + (1.0 - near))
     value = torch.relu((0.396 * nu - 1.259) * nu + 1.0) * near / ((2.181 * nu + 3.535) * nu)
     return numerics.rounded_back(value.masked_fill(cos <= 0, math.inf), dtype)
 
 
-def _lit(cos: Tensor) -> Tensor:
+def _above(cos: Tensor) -> Tensor:
     """The cosine above the horizon; elsewhere 1 with gradient 0, so that nothing is divided by 0."""
     return functional.threshold(cos, 0.0, 1.0)
 
 
-def _both_lit(ci: Tensor, co: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _both_above(ci: Tensor, co: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Both cosines where both are above the horizon, and 1.0 there; elsewhere 1, 1 and 0.0."""
-    lit = step(ci) * step(co)
-    return ci * lit + (1.0 - lit), co * lit + (1.0 - lit), lit
+    above = step(ci) * step(co)
+    return ci * above + (1.0 - above), co * above + (1.0 - above), above
 
 
 def _select(a: Tensor, b: Tensor, which: Tensor) -> Tensor:

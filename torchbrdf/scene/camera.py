@@ -192,14 +192,14 @@ def _floats(x: Any, name: str) -> Tensor:
 
 def _all(condition: Tensor) -> bool:
     """Whether a condition holds everywhere; True where values cannot be looked at (inside transforms and graphs)."""
-    return arguments.hidden(condition) or bool(condition.all())
+    return arguments.values_hidden(condition) or bool(condition.all())
 
 
 def _angle(degrees: Any, name: str) -> Tensor:
     angle = _floats(degrees, name)
     if angle.shape[-1:] != (1,):
         raise ValueError(f"look_at: {name}: expected a number or shape [..., 1], found {list(angle.shape)}")
-    found = [] if arguments.hidden(angle) else angle.detach().flatten()[:4].tolist()
+    found = [] if arguments.values_hidden(angle) else angle.detach().flatten()[:4].tolist()
     if not _all((angle > 0) & (angle < 180)):
         raise ValueError(f"look_at: {name} is the full angle in degrees and lies in (0, 180), found {found}")
     if found and not _all(angle > NARROW):

@@ -37,6 +37,12 @@ class GBuffer(Value):
     material: Tensor | None = param(INDEX, SCALAR, "material id, 0 where there is no surface", default=None, kind="int")
     handedness: Tensor | None = param(SIGN, SCALAR, "1, or -1 where v grows against n x tangent (mirrored uv); 0: none", default=None)
 
+    def check(self) -> None:
+        """Views are no camera's position, normals no normal map that was not decoded (:mod:`~torchbrdf.scene.orientation`)."""
+        from .orientation import check
+
+        check(self)
+
     @staticmethod
     def from_mesh(mesh: Mesh, camera: Camera) -> "GBuffer":
         """What ``camera`` sees of ``mesh`` through its pixel centres, ``[..., H, W]``, in the dtype and on the device of the vertices.
@@ -69,8 +75,8 @@ class GBuffer(Value):
         arguments.of_kind(mesh, "mesh", Mesh, "tb.load_mesh(path)")
         surface = origin if isinstance(origin, GBuffer) else None
         points = origin if surface is None else surface.position.expand(*surface.batch_shape, 3)
-        points = _visible(arguments.floats(points, "origin", 3), "origin")
-        o, d = usable_rays(mesh, points, _visible(arguments.floats(direction, "direction", 3), "direction"))
+        points = _with_values(arguments.floats(points, "origin", 3), "origin")
+        o, d = usable_rays(mesh, points, _with_values(arguments.floats(direction, "direction", 3), "direction"))
         return GBuffer(**ray_fields(mesh, *((o, d) if surface is None else leave(surface, mesh, o, d))))
 
     @staticmethod
@@ -128,12 +134,12 @@ class GBuffer(Value):
 def _check_camera(camera: Any) -> None:
     """Ranges are looked at where values can be seen: not in graphs."""
     arguments.of_kind(camera, "camera", Camera, "tb.Camera.look_at(eye, target, up)")
-    tensors = [_visible(t, "camera") for _, t, _ in camera.own_tensors()]
-    if not arguments.hidden(*tensors):
+    tensors = [_with_values(t, "camera") for _, t, _ in camera.own_tensors()]
+    if not arguments.values_hidden(*tensors):
         validate(camera)
 
 
-def _visible(t: Tensor, name: str) -> Tensor:
+def _with_values(t: Tensor, name: str) -> Tensor:
     """A tensor that has values: rays are cast from there."""
     if t.is_meta:
         raise TypeError(f"{name}: on the meta device, where there are no values; move it with .to(...)")

@@ -71,7 +71,7 @@ class Mesh(Value):
 
     def shading_normals(self) -> Tensor:
         """The given normals, or angle-weighted ones (differentiable w.r.t. the vertices), ``[V, 3]``."""
-        if not arguments.hidden(self.vertices, self.faces):
+        if not arguments.values_hidden(self.vertices, self.faces):
             self.check()
         return angle_weighted(self.vertices, self.faces) if self.normals is None else self.normals
 

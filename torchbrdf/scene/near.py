@@ -73,12 +73,12 @@ def _nearest(caster: RayCaster, point: Tensor, along: Tensor, outside: bool = Fa
     reach = REACH * caster.scale
     best, face = torch.full_like(point[:, 0], torch.inf), torch.full_like(point[:, 0], NOTHING, dtype=torch.int64)
     for sign in (1.0, -1.0):
-        seen = caster.first_hit(point, sign * along)
-        plane, at = plane_of(caster, seen.clamp_min(0))
+        hit = caster.first_hit(point, sign * along)
+        plane, at = plane_of(caster, hit.clamp_min(0))
         cosine = dot(plane, components(along))
         distance = (at - dot(plane, components(point))) / cosine
         near = (distance.abs() * cosine.abs().clamp_min(GRAZING) <= reach) & (distance.abs() < best.abs())  # NaN is not near
-        near = near & (seen != NOTHING) & ((cosine > 0) | (not outside))
-        best, face = torch.where(near, distance, best), torch.where(near, seen, face)
+        near = near & (hit != NOTHING) & ((cosine > 0) | (not outside))
+        best, face = torch.where(near, distance, best), torch.where(near, hit, face)
     step = torch.where(face != NOTHING, best, 0.0).unsqueeze(-1)
     return Found(point + step * along, face)

@@ -42,8 +42,8 @@ def triangle_fields(mesh: Mesh, triangle: Tensor, barycentric: Tensor, eye: Tens
     fields = {"position": masked(position, hit, kind), **attributes(mesh, at, hit, weights)}
     if eye is not None:
         towards = subtract(vector.components(eye.to(device, torch.float64)), vector.Vec(*position))
-        seen = hit & torch.isfinite(torch.stack(towards)).all(0)
-        view, distance = vector.direction_and_length(vector.Vec(*(torch.where(seen, c, 0.0) for c in towards)))
+        valid = hit & torch.isfinite(torch.stack(towards)).all(0)
+        view, distance = vector.direction_and_length(vector.Vec(*(torch.where(valid, c, 0.0) for c in towards)))
         fields |= {"view": vector.stack(view).to(kind), "depth": distance.unsqueeze(-1).to(kind)}
     return fields
 
@@ -65,7 +65,7 @@ def _check(mesh: Mesh, triangle: Tensor, barycentric: Tensor) -> None:
         raise ValueError(
             f"barycentric: expected shape [..., 2], the weights of vertices 0 and 1, or [..., 3], found {list(barycentric.shape)}"
         )
-    if arguments.hidden(mesh.vertices, mesh.faces, triangle):
+    if arguments.values_hidden(mesh.vertices, mesh.faces, triangle):
         return
     mesh.check()
     low, high = (int(x) for x in torch.aminmax(triangle)) if triangle.numel() else (-1, -1)

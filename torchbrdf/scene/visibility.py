@@ -35,13 +35,14 @@ def visibility(g: GBuffer, lights: Any, mesh: Mesh) -> Tensor:
     arguments.of_kind(g, "g", GBuffer, "tb.GBuffer.from_mesh(mesh, camera)")
     caster = caster_of(arguments.of_kind(mesh, "mesh", Mesh, "tb.load_mesh(path)"))
     at = starts(g, mesh, caster)
-    rows = [_row(g, at, *target, caster) for target in _targets(lights, g.position)]
+    rows = [_row(g, at, *target, caster) for target in _targets(lights, g)]
     shape = torch.broadcast_shapes(g.position.shape[:-1], at.normal.shape[:-1])
-    return torch.stack(rows) if rows else g.position.new_zeros(0, *shape, 1)
+    return torch.stack(torch.broadcast_tensors(*rows)) if rows else g.position.new_zeros(0, *shape, 1)
 
 
-def _targets(lights: Any, points: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+def _targets(lights: Any, g: GBuffer) -> Iterator[tuple[Tensor, Tensor]]:
     """(direction, distance) of every single light that stands in one direction."""
+    points = g.position
     several = isinstance(lights, Sequence) and not _is_sample(lights)
     for k, light in enumerate(lights if several else (lights,)):
         if _is_sample(light):
@@ -50,7 +51,8 @@ def _targets(lights: Any, points: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
         if light is None or isinstance(light, int | float | str | Tensor | Sequence):
             arguments.of_kind(light, f"lights[{k}]", Value, "tb.PointLight(position, intensity)")
         if getattr(getattr(light, "kind", None), "name", "") == "DELTA":
-            yield from _sampled(light.sample(numerics.widen(points)), points)
+            whole = points.expand(*g.batch_shape, 3) if getattr(light, "views", ()) else points  # lights by view, points for all
+            yield from _sampled(light.sample(numerics.widen(whole)), whole)
 
 
 def _is_sample(x: Any) -> bool:
