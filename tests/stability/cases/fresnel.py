@@ -199,13 +199,13 @@ PLAIN = 1 / 16  # of |g^2|, of |z^2|: nearer to the critical angle a plain sum l
 
 
 def off_critical_dielectric(draw: Draw) -> np.ndarray:
-    grid = dielectric_grid(draw)
+    grid = dielectric_grid(Draw(draw.dtype, 2 * draw.points))
     c, eta = grid.T
     return grid[(eta >= 1) | (np.abs((eta - 1) * (eta + 1) + c * c) > PLAIN)]
 
 
 def off_critical_conductor(draw: Draw) -> np.ndarray:
-    grid = conductor_grid(draw)
+    grid = conductor_grid(Draw(draw.dtype, 2 * draw.points))
     c, eta, k = grid.T
     return grid[np.hypot((eta - 1) * (eta + 1) - k * k + c * c, 2 * eta * k) > PLAIN]
 
