@@ -142,7 +142,12 @@ def test_graphs_that_end_in_a_loss_are_not_computed_twice(monkeypatch):
     pixels, always = torch_compat.recomputing_backend(), torch_compat.recomputing_backend(True)
     torch_compat.recomputing_backend.cache_clear()
     x = torch.rand(3, requires_grad=True)
-    graphs = (lambda x: x * x, lambda x: (x * x).mean(), lambda x: (x * x, x.detach().mean()), lambda x: {"loss": (x * x).sum(), "image": x})
+    graphs = (
+        lambda x: x * x,
+        lambda x: (x * x).mean(),
+        lambda x: (x * x, x.detach().mean()),
+        lambda x: {"loss": (x * x).sum(), "image": x},
+    )
     for backend in (pixels, always):
         for graph in graphs:
             torch.compile(graph, backend=backend, fullgraph=True)(x)

@@ -5,7 +5,7 @@ Only kinds, dtypes and shapes are looked at, never values: these checks run insi
 
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -134,6 +134,14 @@ def broadcast(shapes: Mapping[str, Sequence[int]], what: str) -> Any:
         return torch.broadcast_shapes(*batched)
     except RuntimeError:
         raise ValueError(f"{what} do not broadcast: {shapes}; make them equal, or 1") from None
+
+
+def one_of(x: Any, name: str, legal: Iterable[str]) -> Any:
+    """``x`` if it is one of the legal names."""
+    names = list(legal)
+    if not isinstance(x, str) or x not in names:
+        raise ValueError(f"{name}: found {x!r}, legal are {names}")
+    return x
 
 
 def leads(first: Sequence[int], shape: Sequence[int]) -> bool:

@@ -51,6 +51,7 @@ class Value:
     _params: ClassVar[dict[str, Param]] = {}
     _fields: ClassVar[tuple[str, ...]] = ()
     _optional: ClassVar[frozenset[str]] = frozenset()
+    _unsaid: ClassVar[tuple[str, str]] = ("method", "standard")  # a choice that repr leaves out
 
     def __post_init__(self) -> None:
         """Turn numbers into tensors and check shapes and dtypes (never tensor values: this runs inside graphs)."""
@@ -162,7 +163,8 @@ class Value:
 
     def __repr__(self) -> str:
         shown = ((n, getattr(self, n)) for n in self._fields)
-        return f"{type(self).__name__}({', '.join(f'{n}={_brief(v)}' for n, v in shown if v is not None)})"
+        named = ", ".join(f"{n}={_brief(v)}" for n, v in shown if v is not None and (n, v if isinstance(v, str) else "") != self._unsaid)
+        return f"{type(self).__name__}({named})"
 
     def state(self) -> dict[str, Any]:
         """Plain dictionaries and tensors, from which ``load_value`` makes the value again."""

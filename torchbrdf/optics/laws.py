@@ -1,47 +1,13 @@
 """Fresnel's laws and the ways to compute them, one method each (torchbrdf/method.py); the ledger measures them."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from ..method import Law, Method
-from . import fresnel
-from .fresnel import Dielectric
-
-SCHLICK = "Schlick 1994, eq. 15"
-
-
-def conductor_textbook(m: Any, cos: Any, eta: Any, k: Any) -> Any:
-    """Born & Wolf 1999, sec. 14.2: the refracted direction's a + ib = sqrt((eta + ik)^2 - sin^2), and both amplitudes."""
-    real, imag = eta * eta - k * k - (1 - cos * cos), 2 * eta * k
-    forward = m.positive(real)
-    modulus = m.sqrt(real * real + imag * imag)
-    large = m.sqrt((modulus + m.where(forward, real, -1 * real)) / 2)
-    small = imag / (2 * large)
-    a, b = m.where(forward, large, small), m.where(forward, small, large)
-    re, im = (eta * eta - k * k) * cos, imag * cos
-    r_s = ((cos - a) * (cos - a) + b * b) / ((cos + a) * (cos + a) + b * b)
-    r_p = ((re - a) * (re - a) + (im - b) * (im - b)) / ((re + a) * (re + a) + (im + b) * (im + b))
-    return (r_s + r_p) / 2
-
-
-def dielectric_f0(eta: Tensor) -> Tensor:
-    """Reflectance at normal incidence."""
-    amplitude = (eta - 1.0) / (eta + 1.0)
-    return amplitude * amplitude
-
-
-def conductor_f0(eta: Tensor, k: Tensor) -> Tensor:
-    """Reflectance at normal incidence."""
-    less, more = eta - 1.0, eta + 1.0
-    return (less * less + k * k) / (more * more + k * k)
-
-
-def constant(cos: Tensor, f0: Tensor) -> Tensor:
-    """The same at every angle."""
-    return torch.broadcast_tensors(f0, cos)[0]
+from . import approximations, fresnel
 
 
 def critical_angle(rng: Any, count: int) -> dict[str, Any]:
@@ -51,24 +17,38 @@ def critical_angle(rng: Any, count: int) -> dict[str, Any]:
     return {"cos_i": np.sqrt((1.0 - eta) * (1.0 + eta)) * (1.0 + away), "eta": eta}
 
 
-LAWS = (
+def exactly(law: Callable[..., Tensor], call: str, source: str, plain: str) -> tuple[Method, ...]:
+    """The law by its three arithmetics."""
+
+    def by(name: str, how: str, claim: str) -> Method:
+        asked = "" if name == "standard" else f', method="{name}"'
+        return Method(name, lambda *x: law(*x, method=name), call.format(asked), f"{source}; {how}", claim)
+
+    return (
+        by("standard", "g^2 by float64", "16 ulp everywhere"),
+        by("extended", "g^2 by compensated sums (Ogita, Rump & Oishi 2005), both amplitudes", "16 ulp everywhere"),
+        by("plain", "g^2 as it comes", plain),
+    )
+
+
+LAWS: tuple[Law, ...] = (
     Law(
         "dielectric",
         {"cos_i": (0.05, 1.0), "eta": (1.2, 2.5)},
-        Dielectric.textbook,
+        fresnel.Dielectric.textbook,
         (
-            Method("standard", fresnel.dielectric, "tb.Dielectric(eta)", "this package, after Cook & Torrance 1982", "16 ulp everywhere"),
+            *exactly(fresnel.dielectric, "tb.Dielectric(eta{})", "Cook & Torrance 1982", "16 ulp from |g^2| = 1/16 on, or for eta >= 1"),
             Method(
                 "Schlick",
-                lambda cos, eta: fresnel.schlick(cos, dielectric_f0(eta)),
+                approximations.dielectric_schlick,
                 "tb.Schlick(((eta - 1) / (eta + 1)) ** 2)",
-                SCHLICK,
+                "Schlick 1994, eq. 15",
                 "0.12 for eta in [1.2, 2.5], 0.07 in [1.3, 1.8]",
                 exact=False,
             ),
             Method(
                 "constant",
-                lambda cos, eta: constant(cos, dielectric_f0(eta)),
+                approximations.dielectric_constant,
                 "no Fresnel term: f0 = ((eta - 1) / (eta + 1)) ** 2 times the strength",
                 "the reflectance at normal incidence",
                 "0.75 at grazing",
@@ -81,23 +61,31 @@ LAWS = (
     Law(
         "conductor",
         {"cos_i": (0.05, 1.0), "eta": (0.1, 3.0), "k": (0.5, 7.0)},
-        conductor_textbook,
+        fresnel.Conductor.textbook,
         (
-            Method("standard", fresnel.conductor, "tb.Conductor(eta, k)", "this package, after Born & Wolf 1999", "16 ulp everywhere"),
+            *exactly(fresnel.conductor, "tb.Conductor(eta, k{})", "Born & Wolf 1999, sec. 14.2", "16 ulp from |g^2| = 1/16 on"),
+            Method(
+                "F82 tint",
+                approximations.conductor_f82,
+                "torchbrdf.optics.approximations.conductor_f82(cos_i, eta, k)",
+                "Hoffman 2019; Kutz et al. 2021; of Lazanyi & Szirmay-Kalos 2005",
+                "0.25 over the whole domain, 0.024 of the measured metals",
+                exact=False,
+            ),
             Method(
                 "Schlick",
-                lambda cos, eta, k: fresnel.schlick(cos, conductor_f0(eta, k)),
+                approximations.conductor_schlick,
                 "tb.Schlick(((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2))",
-                SCHLICK,
-                "0.35 over the whole domain",
+                "Schlick 1994, eq. 15",
+                "0.35 over the whole domain, 0.2 of the measured metals",
                 exact=False,
             ),
             Method(
                 "constant",
-                lambda cos, eta, k: constant(cos, conductor_f0(eta, k)),
+                approximations.conductor_constant,
                 "no Fresnel term: f0 times the strength",
                 "the reflectance at normal incidence",
-                "0.75 at grazing",
+                "0.8 at grazing",
                 exact=False,
             ),
         ),

@@ -195,17 +195,52 @@ UNDERFLOWS = {
 }
 
 
-CASES = (
-    Case(
-        "fresnel.dielectric",
+PLAIN = 1 / 16  # of |g^2|, of |z^2|: nearer to the critical angle a plain sum loses digits, and so is its claim
+
+
+def off_critical_dielectric(draw: Draw) -> np.ndarray:
+    grid = dielectric_grid(Draw(draw.dtype, 2 * draw.points))
+    c, eta = grid.T
+    return grid[(eta >= 1) | (np.abs((eta - 1) * (eta + 1) + c * c) > PLAIN)]
+
+
+def off_critical_conductor(draw: Draw) -> np.ndarray:
+    grid = conductor_grid(Draw(draw.dtype, 2 * draw.points))
+    c, eta, k = grid.T
+    return grid[np.hypot((eta - 1) * (eta + 1) - k * k + c * c, 2 * eta * k) > PLAIN]
+
+
+def dielectric_by(method: str, name: str, grid=dielectric_grid) -> Case:
+    return Case(
+        name,
         ("cos_i", "eta"),
-        lambda c, eta: (fresnel.dielectric(c, eta),),
+        lambda c, eta: (fresnel.dielectric(c, eta, method),),
         dielectric,
-        dielectric_grid,
+        grid,
         everyday_dielectric,
-        covers=("fresnel.dielectric", "Dielectric"),
+        covers=("fresnel.dielectric", "Dielectric", f"dielectric by {method}"),
         at_most_one=True,
-    ),
+    )
+
+
+def conductor_by(method: str, name: str, grid=conductor_grid) -> Case:
+    return Case(
+        name,
+        ("cos_i", "eta", "k"),
+        lambda c, eta, k: (fresnel.conductor(c, eta, k, method),),
+        conductor,
+        grid,
+        everyday_conductor,
+        covers=("fresnel.conductor", "Conductor", f"conductor by {method}"),
+        outside_twice=UNDERFLOWS,
+        at_most_one=True,
+    )
+
+
+CASES = (
+    dielectric_by("standard", "fresnel.dielectric"),
+    dielectric_by("extended", "fresnel.dielectric, extended"),
+    dielectric_by("plain", "fresnel.dielectric, plain", off_critical_dielectric),
     ratio("s"),
     ratio("p"),
     conductor_ratio("s"),
@@ -220,17 +255,9 @@ CASES = (
         covers=("fresnel.refraction_cosine",),
         at_most_one=True,
     ),
-    Case(
-        "fresnel.conductor",
-        ("cos_i", "eta", "k"),
-        lambda c, eta, k: (fresnel.conductor(c, eta, k),),
-        conductor,
-        conductor_grid,
-        everyday_conductor,
-        covers=("fresnel.conductor", "Conductor"),
-        outside_twice=UNDERFLOWS,
-        at_most_one=True,
-    ),
+    conductor_by("standard", "fresnel.conductor"),
+    conductor_by("extended", "fresnel.conductor, extended"),
+    conductor_by("plain", "fresnel.conductor, plain", off_critical_conductor),
     Case(
         "fresnel.schlick",
         ("cos_i", "f0"),
