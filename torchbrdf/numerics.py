@@ -127,7 +127,7 @@ def cosine_power(cos: Tensor, sin2: Tensor, exponent: Tensor) -> Tensor:
     return torch.where((cos == 0) & (exponent > 0), 0.0, flushed_exp(log_value))
 
 
-def value_of(exact: Tensor, slopes_of: Tensor) -> Tensor:
+def with_slope_of(exact: Tensor, slopes_of: Tensor) -> Tensor:
     """The value of one formula, to the last bit, with the derivatives of another that is finite and equal in exact arithmetic."""
     return exact.detach() + (slopes_of - slopes_of.detach())
 
@@ -188,7 +188,7 @@ def eta2_minus_sin2(cos_i: Tensor, eta: Tensor, k: Tensor | None = None, cos_low
         pairs.insert(1, (k.to(slopes.dtype), -k.to(slopes.dtype)))
     if cos_low is not None:
         pairs.append((2.0 * cos_i.detach(), cos_low))
-    return value_of(sum_of_products(*pairs)[0], slopes)
+    return with_slope_of(sum_of_products(*pairs)[0], slopes)
 
 
 def eta2_minus_sin2_widened(cos_i: Tensor, eta: Tensor, k: Tensor | None = None) -> Tensor:
@@ -201,4 +201,4 @@ def eta2_minus_sin2_widened(cos_i: Tensor, eta: Tensor, k: Tensor | None = None)
         slopes, index2 = slopes - k * k, index2 - k.detach().double() ** 2
     less = index2 - 1.0
     tiny_index = index2 - (less + 1.0)  # what of it the difference had to leave off
-    return value_of(((less + c * c) + tiny_index).to(cos_i.dtype), slopes + cos_i * cos_i)
+    return with_slope_of(((less + c * c) + tiny_index).to(cos_i.dtype), slopes + cos_i * cos_i)

@@ -167,7 +167,7 @@ def refract(w: Tensor, n: Tensor, eta: Tensor | float) -> tuple[Tensor, Tensor]:
     ratio = ratio.squeeze(-1) if ratio.dim() else ratio
     # To the last digit and its sign: near the critical angle, and in the plane of the surface, rounding would choose the result.
     cos, cos_low = numerics.sum_of_products(*zip(wc, nc, strict=True))
-    cos_i = numerics.value_of(cos, dot(wc, nc))
+    cos_i = numerics.with_slope_of(cos, dot(wc, nc))
     g2 = numerics.eta2_minus_sin2(cos_i, ratio, cos_low=cos_low)
     valid = g2 > 0
     along_normal = cos_i - torch.where(cos_i < 0, -1.0, 1.0) * numerics.safe_sqrt(g2)

@@ -137,4 +137,4 @@ def _brewster_difference(c: Tensor, n: Tensor, k: Tensor, index2: Complex) -> Co
     c, n, k = torch.broadcast_tensors(c.detach(), n.detach().to(c.dtype), k.detach().to(c.dtype))
     x, y, one = n * c, k * c, torch.ones_like(c)
     low = numerics.product_error(n, c, x)
-    return Complex(numerics.value_of(numerics.sum_of_products((one, -one), (x, x), (c, c), (x, 2.0 * low), (y, -y))[0], re), im)
+    return Complex(numerics.with_slope_of(numerics.sum_of_products((one, -one), (x, x), (c, c), (x, 2.0 * low), (y, -y))[0], re), im)

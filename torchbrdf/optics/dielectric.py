@@ -40,7 +40,7 @@ def refraction_cosine(cos_i: Tensor, eta: Tensor | float) -> Tensor:
     (c, n), dtype = numerics.working(cos_i, eta)
     at = _interface(numerics.unit_interval(c), n)
     ratio = at.g / n
-    cos_t = at.choose(numerics.value_of(torch.where(at.matched, at.cos, ratio), ratio), matched=at.cos, total=0.0)
+    cos_t = at.choose(numerics.with_slope_of(torch.where(at.matched, at.cos, ratio), ratio), matched=at.cos, total=0.0)
     return numerics.rounded_back(numerics.at_most(cos_t, 1.0), dtype)
 
 
@@ -86,7 +86,7 @@ class _Interface(NamedTuple):
     def perpendicular(self) -> tuple[Tensor, Tensor]:
         """``(delta, A)`` of ``r_s = -delta / A^2``."""
         delta, a = (self.eta - 1.0) * (self.eta + 1.0), self.cos + self.g
-        return torch.where(self.grazing, numerics.value_of(delta, (self.g - self.cos) * a), delta), a
+        return torch.where(self.grazing, numerics.with_slope_of(delta, (self.g - self.cos) * a), delta), a
 
     def parallel(self) -> tuple[Tensor, Tensor]:
         """``(delta (eta^2 c^2 - s^2), B)`` of ``r_p``, the quotient by ``B^2``."""
@@ -96,7 +96,7 @@ class _Interface(NamedTuple):
         s2 = (1.0 - c) * (1.0 + c)
         difference = torch.where(n < 1.0, self.g * self.g - n * n * s2, along * c - s2)  # whichever subtracts the smaller terms
         top = delta * difference
-        return torch.where(self.grazing, numerics.value_of(top, (along - self.g) * b), top), b
+        return torch.where(self.grazing, numerics.with_slope_of(top, (along - self.g) * b), top), b
 
     def choose(self, result: Tensor, matched: Tensor | float, total: float) -> Tensor:
         """The result where a part is reflected; ``matched`` where matched media graze, ``total`` under total reflection."""
