@@ -207,3 +207,15 @@ def test_masks_do_not_poison():
     x = torch.tensor([-1.0, 0.0, 1.0], requires_grad=True)
     total = nu.safe_sqrt(x).sum() + nu.reciprocal_or_zero(x).sum() + nu.log1p_power(x + 1.0, x.abs() * 1e8).sum()
     assert bool(torch.isfinite(grad(total, x)[0]).all())
+
+
+def test_g_squared_by_float64_is_that_of_the_compensated_sum():
+    """To an ulp, slopes exactly: about the critical angle, for tiny indices at normal incidence, at grazing between equal media."""
+    eta = torch.rand(2000) * 0.9 + 0.05
+    cos = torch.sqrt((1 - eta) * (1 + eta)) * (1 + 1e-5 * torch.randn(2000))
+    hard = torch.tensor([[1.0, 1e-10, 0.0], [1.0, 1e-20, 1e-19], [1.0, 0.3, 0.3], [1e-10, 1.0, 0.0], [0.5, 1e3, 1e3]])
+    points = torch.cat([torch.stack([cos, eta, torch.zeros_like(cos)], 1), hard]).requires_grad_()
+    widened, compensated = (f(*points.unbind(1)) for f in (nu.eta2_minus_sin2_widened, nu.eta2_minus_sin2))
+    torch.testing.assert_close(widened, compensated, rtol=2e-7, atol=1e-44)
+    by_widened, by_compensated = (grad(g.sum(), points)[0] for g in (widened, compensated))
+    assert (by_widened == by_compensated).all()
