@@ -120,6 +120,7 @@ LAWS = (
         {"exponent": EXPONENTS},
         lambda m, p, s: Phong.textbook(m, p, 1, s, lambda cos: 1, "modified"),
         (
+            # At 1e-3 of the peak and an exponent of 1 the cosine is 1e-3, of which the rounding of a dot product, 2 to 3 eps, is 3e-4.
             Method("log1p", phong, "tb.Phong(k, s)", "this package", f"3e-4 of the value {WHERE}"),
             Method(
                 "assume_unit",
