@@ -117,6 +117,6 @@ def ours(name: str) -> Callable[[Points], Tensor]:
             "W1": lambda: tb.Schlick(p["f0"]), "W1x": lambda: tb.Dielectric(p["eta"]), "W1c": lambda: tb.Conductor(p["eta"], p["k"]),
         }  # fmt: skip
         brdf = tb.Lambert(p["albedo"]) + tb.Phong(p["specular"], p["exponent"], fresnel=terms[name]())
-        return brdf.evaluate(p["wi"], p["wo"], p["normal"], assume_unit=True) * (p["normal"] * p["wi"]).sum(-1, keepdim=True)
+        return brdf.evaluate(p["wi"], p["wo"], p["normal"], assume_unit=True, cosine=True)
 
     return radiance

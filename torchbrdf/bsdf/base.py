@@ -110,12 +110,24 @@ class Bsdf(Value):
         return self if any(lobe.serves(wanted) for lobe in self.lobes) else None
 
     def evaluate(
-        self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False
+        self,
+        wi: Tensor,
+        wo: Tensor,
+        n: Tensor | None = None,
+        tangent: Tensor | None = None,
+        *,
+        assume_unit: bool = False,
+        cosine: bool = False,
     ) -> Tensor:
-        """f(wi, wo) in 1/sr, ``[..., C]``, without the cosine; 0 outside the model's domain (:meth:`domain`)."""
+        r"""f(wi, wo) in 1/sr, ``[..., C]``, without the cosine; 0 outside the model's domain (:meth:`domain`).
+
+        ``cosine=True``: times \|n.wi\|, as the reflection equation has it; compiled it then stays one loop over the points.
+        """
         g = self.geometry(wi, wo, n, tangent, assume_unit)
-        inside = self.domain(g).to(g.cos_i.dtype)
-        return g.viewer.layout.join([f * inside for f in self.formula(g)]).to(wi.dtype)
+        factor = self.domain(g).to(g.cos_i.dtype)
+        if cosine:
+            factor = factor * g.cos_i.abs()
+        return g.viewer.layout.join([f * factor for f in self.formula(g)]).to(wi.dtype)
 
     def pdf(self, wi: Tensor, wo: Tensor, n: Tensor | None = None, tangent: Tensor | None = None, *, assume_unit: bool = False) -> Tensor:
         """Density ``[..., 1]`` per steradian with which :meth:`sample` gives ``wi`` for ``wo``; 0 outside the model's domain.
