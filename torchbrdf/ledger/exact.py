@@ -130,7 +130,7 @@ def power(x: Any, s: Any) -> Any:
 class Exact:
     """The arithmetic ``m`` in which textbook formulas are written (torchbrdf/testing/textbook.py), to the present precision."""
 
-    sqrt, exp, log, where, power = (staticmethod(f) for f in (sqrt, exp, log, where, power))
+    sqrt, exp, log, erf, where, power = (staticmethod(f) for f in (sqrt, exp, log, erf, where, power))
 
     @property
     def pi(self) -> Any:

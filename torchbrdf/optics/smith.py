@@ -90,7 +90,7 @@ def beckmann_lambda(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     below the smallest normal number (nu > 8.8 in float32), ``alpha_sin = 0`` included.
     """
     (cos, a), dtype = working(cos, alpha_sin)
-    c, a, w = _beckmann_tail(_above(cos), a)
+    c, a, w = beckmann_tail(_above(cos), a)
     value = functional.threshold((0.5 * a * w) / c, numerics.tiny(w.dtype), 0.0)
     return numerics.rounded_back(value.masked_fill(cos <= 0, math.inf), dtype)
 
@@ -118,10 +118,14 @@ def beckmann_lambda_walter(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     """
     (cos, a), dtype = working(cos, alpha_sin)
     c = _above(cos)
+    return numerics.rounded_back((a * walter_share(c, a) / c).masked_fill(cos <= 0, math.inf), dtype)
+
+
+def walter_share(c: Tensor, a: Tensor) -> Tensor:
+    """``nu Lambda`` of the fit, for nu = c / a >= 0."""
     near = step(1.59 * a - c)  # just beyond the first root of the numerator, which is positive again past the second
-    nu = (c * near + (1.0 - near)) / (a * near + (1.0 - near))
-    value = torch.relu((0.396 * nu - 1.259) * nu + 1.0) * near / ((2.181 * nu + 3.535) * nu)
-    return numerics.rounded_back(value.masked_fill(cos <= 0, math.inf), dtype)
+    nu = (c * near) / (a * near + (1.0 - near))
+    return torch.relu((0.396 * nu - 1.259) * nu + 1.0) * near / (2.181 * nu + 3.535)
 
 
 def _above(cos: Tensor) -> Tensor:
@@ -153,7 +157,7 @@ def _ggx_x(c: Tensor, a: Tensor) -> Tensor:
     return _select(torch.ones_like(k), k, grazing) / torch.sqrt(1.0 + k * k)
 
 
-def _beckmann_tail(c: Tensor, a: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def beckmann_tail(c: Tensor, a: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """c, a and w = 2 nu Lambda; (1, 1, 0) where exp(-nu^2) is below the smallest normal number."""
     alive = step(a * math.sqrt(-math.log(numerics.tiny(a.dtype))) - c)
     c, a = c * alive + (1.0 - alive), a * alive + (1.0 - alive)
@@ -162,7 +166,7 @@ def _beckmann_tail(c: Tensor, a: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def _beckmann_x(c: Tensor, a: Tensor) -> Tensor:
     """``nu / (nu + w)``."""
-    c, a, w = _beckmann_tail(c, a)
+    c, a, w = beckmann_tail(c, a)
     nu = c / a
     total = nu + w
     return _select(1.0 - w / total, nu / total, step(0.5 - nu))

@@ -14,7 +14,7 @@ from ..registry import BSDFS, FRESNEL_TERMS, registered
 from ..value import Param, Value
 from .subject import generator
 
-COLOURS, ENTRIES = 3, 2
+COLOURS, ENTRIES = 3, {"A": 1}  # of a roughness one number; two are a variant
 
 
 def instances(thorough: bool = False, seed: int = 0) -> Iterator[tuple[str, Any]]:
@@ -39,12 +39,12 @@ def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterato
             static = {name: v for name, (_, v) in filling.items()} | dict(variant)
             labels = [str(v) for v in variant.values()] + [label for label, _ in filling.values()]
             drawn = {name: draw(spec, rng) for name, spec in cls._params.items()}
-            yield f"{cls.__name__}({', '.join(labels)})", cls(**drawn, **static)
+            yield f"{cls.__name__}({', '.join(labels)})", cls(**{**drawn, **static})
 
 
 def draw(spec: Param, rng: torch.Generator) -> torch.Tensor:
     """A typical value of a parameter, in its event shape; colours have three channels, other named axes two entries."""
-    shape = tuple(n if isinstance(n, int) else COLOURS if n == "C" else ENTRIES for n in spec.event)
+    shape = tuple(n if isinstance(n, int) else COLOURS if n == "C" else ENTRIES.get(n, 2) for n in spec.event)
     return spec.constraint.draw(shape, rng)
 
 

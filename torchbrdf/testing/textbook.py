@@ -5,10 +5,10 @@ A model or Fresnel term may say what it computes in the plainest way, as a stati
     textbook(m, p, albedo, ...)    # a model: p is a Point, then its fields by name
     textbook(m, cos, f0, ...)      # a Fresnel term
 
-in an arithmetic ``m``: operators, ``m.pi``, ``m.sqrt``, ``m.exp``, ``m.log``, ``m.power(x, s)`` of x >= 0 with 0^0 = 1,
+in an arithmetic ``m``: operators, ``m.pi``, ``m.sqrt``, ``m.exp``, ``m.log``, ``m.erf``, ``m.power(x, s)`` of x >= 0 with 0^0 = 1,
 ``m.positive(x)`` (a mask) and ``m.where(mask, a, b)``. Here it runs on float64 tensors; the project's own stability tests run it
 in hundreds of digits with exact derivatives. Every parameter comes in as one number a point, one channel at a time; a Fresnel
-slot as a function of a cosine.
+slot as a function of a cosine, a parameter of several numbers as a tuple. ``NotImplemented`` stands for a choice that it does not say.
 """
 
 import math
@@ -41,6 +41,10 @@ class Reals:
     @staticmethod
     def log(x: Any) -> Tensor:
         return torch.log(_number(x))
+
+    @staticmethod
+    def erf(x: Any) -> Tensor:
+        return torch.erf(_number(x))
 
     @staticmethod
     def power(x: Any, s: Any) -> Tensor:
@@ -108,6 +112,8 @@ def textbook(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outc
     probe = next(iter(probes(subject, rng, 4096 if thorough else 256)))
     found = probe.call(subject, **probe.inputs)
     plain = [_channel(subject, k, *probe.inputs.values()) for k in range(found.shape[-1])]
+    if any(channel is None for channel in plain):
+        return Outcome.absent("textbook", "the model says none for this choice")
     worst, k = (found - torch.stack(plain, -1)).abs().nan_to_num(nan=torch.inf).amax(-1).max(0)
     largest = float(found.abs().max())
     return Outcome(
@@ -120,12 +126,13 @@ def _where(x: dict[str, Tensor], k: int) -> str:
     return f"largest difference from the textbook formula; {at}"
 
 
-def _channel(subject: Any, k: int, *points: Tensor) -> Tensor:
-    """One channel of the textbook formula."""
+def _channel(subject: Any, k: int, *points: Tensor) -> Tensor | None:
+    """One channel of the textbook formula, if it says one."""
     if isinstance(subject, Fresnel):
         return _term(subject, k)(points[0].squeeze(-1))
     p = Point(Reals, *(w.unbind(-1) for w in points))
-    return torch.as_tensor(subject.textbook(Reals, p, **_fields(subject, k)), dtype=torch.float64).expand(len(points[0]))
+    found = subject.textbook(Reals, p, **_fields(subject, k))
+    return None if found is NotImplemented else torch.as_tensor(found, dtype=torch.float64).expand(len(points[0]))
 
 
 def _fields(subject: Any, k: int) -> dict[str, Any]:
@@ -133,8 +140,12 @@ def _fields(subject: Any, k: int) -> dict[str, Any]:
     found = {name: getattr(subject, name) for name in subject._fields}
     hints = subject.params()
     slots = {name for name, v in found.items() if name == "fresnel" or isinstance(v, Fresnel)}
-    numbers = {name: v[min(k, len(v) - 1)] if hints[name].is_colour else v[0] for name, v in found.items() if name in hints}
+    numbers = {name: _of_channel(v, hints[name].is_colour, k) for name, v in found.items() if name in hints}
     return {**found, **numbers, **{name: _term(found[name], k) for name in slots}}
+
+
+def _of_channel(v: Tensor, is_colour: bool, k: int) -> Any:
+    return v[min(k, len(v) - 1)] if is_colour else v[0] if len(v) == 1 else tuple(v)
 
 
 def _term(term: Any, k: int) -> Callable[[Any], Any]:
