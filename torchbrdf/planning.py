@@ -87,7 +87,7 @@ class Plan:
         self._check_kinds(bsdf, sources)
         if not isinstance(prepared, Prepared):
             prepared = self.prepare(g, sources, mesh, visibility if prepared is None else prepared)
-        surface = Surface.of(g, bsdf.is_wide)
+        surface = Surface.of(g, bsdf.is_wide, rows.rank(g, bsdf, sources))
         parts: list[Contribution] = []
         for effect in self.effects:
             part = bsdf.select(effect.lobes)

@@ -82,14 +82,17 @@ class Surface(NamedTuple):
     shape: torch.Size  # of the points
 
     @staticmethod
-    def of(g: GBuffer, wide: bool) -> "Surface":
+    def of(g: GBuffer, wide: bool, rank: int | None = None) -> "Surface":
         """Directions are normalised here, once; zero and non-finite ones become 0, which no domain contains."""
-        layout = Layout.beside(g.position, wide)
+        layout = Layout.beside(g.position, wide, rank)
 
         def lifted(v: Vec) -> Vec:
             return Vec(*map(layout.lift, v))
 
-        n, wo = (lifted(vector.unit_components(numerics.widen(v))) for v in (g.normal, g.require_view()))
+        normal, view = (numerics.widen(v) for v in (g.normal, g.require_view()))
+        together = rank is not None and normal.shape == view.shape
+        pair = vector.unit_pair(normal, view) if together else map(vector.unit_components, (normal, view))
+        n, wo = map(lifted, pair)
         tangent = None if g.tangent is None else lifted(vector.components(numerics.widen(g.tangent)))
         handedness = None if g.handedness is None else layout.lift(g.handedness.squeeze(-1))
         mask = None if g.mask is None else layout.lift(g.mask.squeeze(-1))
