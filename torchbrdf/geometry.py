@@ -303,7 +303,8 @@ class Geometry:
     @memo
     def mirror_complement(self) -> Tensor:
         """1 - wi.R(wo) as half the squared distance |R(wo) - wi|^2 / 2, accurate near the mirror direction."""
-        d = subtract(scale(self.n, 2.0 * self.cos_o), self.half)
+        n, cos_o = self.n, self.cos_o
+        d = Vec(*(torch.addcmul(h, x, cos_o, value=-2) for h, x in zip(self.half, n, strict=True)))
         return 0.5 * dot(d, d)
 
     def half_across(self, eta: Tensor) -> Vec:

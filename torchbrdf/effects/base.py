@@ -109,8 +109,7 @@ class Surface(NamedTuple):
         inside = bsdf.domain(g)
         if self.mask is not None:
             inside = inside & self.mask
-        hidden = 2.0 - 2.0 * inside.to(g.cos_i.dtype)
-        return numerics.positive(g.cos_i.abs() - hidden)
+        return numerics.positive(torch.add(g.cos_i.abs(), ~inside, alpha=-2))
 
 
 class Contribution(NamedTuple):

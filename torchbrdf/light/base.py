@@ -156,11 +156,13 @@ class DeltaLight(Light):
         """
         count, views = len(self), self.views
         rows = layout.follow(parameter, axes=parameter.dim())
+        if count == 1 and not views:
+            return rows.reshape(-1).unbind(0)
         columns = rows.expand(*views, count, rows.shape[-1]).unbind(-1)
         behind = (1,) * (points.x.dim() - len(views))
         if count > 1:
             return tuple(c.movedim(-1, 0).reshape(count, *views, *behind) for c in columns)
-        return tuple(c.reshape(*views, *behind) if views else c.squeeze(0) for c in columns)
+        return tuple(c.reshape(*views, *behind) for c in columns)
 
     def colour_axis(self, colour: Tensor, points: Vec, layout: Layout) -> Channels:
         """A colour ``[L, C]`` as channels beside points."""
