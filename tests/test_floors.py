@@ -17,6 +17,7 @@ FLOORS = {
             "constraint",
             "interval",
             "declaration",
+            "kinds",
             "value",
             "loading",
             "stacking",

@@ -74,7 +74,8 @@ class Interval(Constraint):
     def _between(self, u: Tensor) -> Tensor:
         span, info = self.high - self.low, torch.finfo(u.dtype)
         if not (self.open_low or self.open_high):
-            return self.low + span * torch.sin(0.5 * u.clamp(info.min, info.max)).square()
+            part = torch.sin(0.5 * u.clamp(info.min, info.max)).square()
+            return part if (self.low, self.high) == (0.0, 1.0) else self.low + span * part
         # The least part of the span that does not vanish beside an end, twice over.
         least_low = max(info.tiny, 4.0 * info.eps * abs(self.low) / span)
         least_high = max(info.eps, 4.0 * info.eps * max(abs(self.high), abs(self.low)) / span)
@@ -92,7 +93,8 @@ class Interval(Constraint):
         if self.open_low:
             return self.low + torch.exp(u.clamp(math.log(max(info.tiny, 2.0 * info.eps * abs(self.low))), most))
         root = torch.sinh(0.5 * u.clamp(-most, most))
-        return self.low + (root.abs() if self.low in self.flat else root.square())
+        above = root.abs() if self.low in self.flat else root.square()
+        return above if self.low == 0 else self.low + above
 
     def to_unconstrained(self, x: Tensor) -> Tensor:
         """A u >= 0 (any, above an open end) with ``from_unconstrained(u) = x``; where no gradient is, one beside it.

@@ -74,14 +74,15 @@ def _picture(shape: torch.Size, points: torch.Size) -> str:
 
 
 def _matches(t: Tensor, points: Tensor) -> bool:
-    return t.device == points.device and (t.dtype == points.dtype or (_is_narrower(t, points) and _autocast(points.device.type)))
+    return t.device == points.device and (t.dtype == points.dtype or (_is_narrower(t, points) and autocast(points.device.type)))
 
 
 def _is_narrower(t: Tensor, points: Tensor) -> bool:
     return t.dtype in numerics.HALF_TYPES and points.dtype not in numerics.HALF_TYPES
 
 
-def _autocast(device: str) -> bool:
+def autocast(device: str) -> bool:
+    """Whether ``torch.autocast`` is on for a type of device."""
     return device != "meta" and torch.is_autocast_enabled(device)
 
 

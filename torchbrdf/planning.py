@@ -60,6 +60,8 @@ class Plan:
         sources = check.as_list(lights)
         check.check_mesh(mesh)
         self._check_lost_shadows(mesh, visibility)
+        if all(type(e).prepare is Effect.prepare for e in self.effects):
+            return Prepared()
         scene = Scene(g, None, sources, mesh, visibility)  # type: ignore[arg-type]
         with torch.no_grad():
             found = {e.name: e.prepare(scene, generator) for e in self.effects}

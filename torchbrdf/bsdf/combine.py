@@ -58,6 +58,8 @@ class Sum(Bsdf):
 
     def select(self, wanted: Lobe) -> Bsdf | None:
         kept = tuple(s for t in self.terms if (s := t.select(wanted)) is not None)
+        if len(kept) == len(self.terms) and all(s is t for s, t in zip(kept, self.terms, strict=True)):
+            return self
         return Sum(kept) if len(kept) > 1 else kept[0] if kept else None
 
     def domain(self, g: Geometry) -> Tensor:
@@ -148,7 +150,7 @@ class Scaled(Bsdf):
 
     def select(self, wanted: Lobe) -> Bsdf | None:
         kept = self.inner.select(wanted)
-        return None if kept is None else Scaled(kept, self.factor)
+        return None if kept is None else self if kept is self.inner else Scaled(kept, self.factor)
 
     def domain(self, g: Geometry) -> Tensor:
         return self.inner.domain(g)
