@@ -238,7 +238,7 @@ class Geometry:
     @memo
     def above(self) -> Tensor:
         """Both directions strictly above the horizon (bool)."""
-        return (self.cos_i > 0) & (self.cos_o > 0)
+        return torch.minimum(self.cos_i, self.cos_o) > 0
 
     @memo
     def same_side(self) -> Tensor:

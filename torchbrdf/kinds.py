@@ -4,13 +4,13 @@ Checks of kinds and shapes take as long as the arithmetic of a few thousand pixe
 kinds. So what was found of a kind once is looked up. Eagerly alone: in graphs all this costs nothing.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from torch import Tensor
 
 T = TypeVar("T")
-PLAIN = (str, int, float, bool, type(None))
+PLAIN = (str, int, float, bool)
 MOST = 1 << 12  # kinds that are kept; more of them are no loop that repeats itself
 _found: dict[Any, Any] = {}
 
@@ -25,13 +25,24 @@ def of(x: Any, anew: bool = False) -> Any:
     if isinstance(x, PLAIN):
         return (type(x), x)
     if isinstance(x, (tuple, list)):
-        inside = x
-    elif hasattr(type(x), "_params"):
-        inside = [getattr(x, name) for name in x._fields]
-    else:
-        return None
-    parts = [of(v, anew) if anew or not hasattr(type(v), "_params") else held(v) for v in inside]
-    return None if None in parts else (type(x), *parts)
+        return _whole(x, x, anew)
+    return _whole(x, [getattr(x, name) for name in x._fields], anew) if hasattr(type(x), "_params") else None
+
+
+def _whole(x: Any, inside: Sequence[Any], anew: bool) -> Any:
+    """One loop, and no call for what is most common: this is what a lookup costs."""
+    parts: list[Any] = [type(x)]
+    for v in inside:
+        if v is None:
+            parts.append(v)
+        elif isinstance(v, Tensor):
+            parts.append((v.shape, v.dtype, v.device, v.layout))
+        else:
+            part = of(v, anew) if anew or not hasattr(type(v), "_params") else held(v)
+            if part is None:
+                return None
+            parts.append(part)
+    return tuple(parts)
 
 
 def held(v: Any) -> Any:

@@ -11,8 +11,8 @@ import math
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
+FEW = 1 << 15  # numbers
 HALF_TYPES = (torch.float16, torch.bfloat16)
 TEXT_DIGITS = math.sqrt(torch.finfo(torch.float32).eps)  # half the digits of float32, as matrices and vectors have them in text files
 
@@ -50,10 +50,15 @@ def working(*xs: Tensor | float) -> tuple[list[Tensor], torch.dtype]:
     return made, dtype
 
 
+def few(x: Tensor) -> bool:
+    """Whether dispatching an operation on x takes about as long as the operation; never inside graphs, where nothing is dispatched."""
+    return not torch.compiler.is_compiling() and x.numel() <= FEW
+
+
 def positive(x: Tensor) -> Tensor:
     """``max(x, 0)``. Gradient: 1 for x >= 0 (at 0 that of the lit side), 0 below."""
     info = torch.finfo(x.dtype)
-    return functional.threshold(x, -info.smallest_normal * info.eps, 0.0)  # "greater than the number below 0"
+    return torch.threshold(x, -info.smallest_normal * info.eps, 0.0)  # "greater than the number below 0"
 
 
 def finite_or_zero(x: Tensor) -> Tensor:
@@ -62,8 +67,8 @@ def finite_or_zero(x: Tensor) -> Tensor:
 
 
 def step(x: Tensor) -> Tensor:
-    """1 for x > 0, else 0, in the dtype of x. No gradient. (Each form is the fast one, as above: a compiler vectorises no bools.)"""
-    return torch.sign(torch.relu(x.detach())) if torch.compiler.is_compiling() else (x > 0).to(x.dtype)
+    """1 for x > 0, else 0, in the dtype of x. No gradient."""
+    return torch.sign(torch.relu(x.detach()))
 
 
 def unit_interval(x: Tensor) -> Tensor:
@@ -88,12 +93,12 @@ def negligible(dtype: torch.dtype) -> float:
 
 def safe_sqrt(x: Tensor, least: float = 0.0) -> Tensor:
     """``sqrt(x)`` for finite x > ``least``, else 0. Gradient: the true one there (not capped); else 0, at 0 in place of infinity."""
-    return finite_or_zero(torch.sqrt(functional.threshold(x, least, math.inf)))
+    return finite_or_zero(torch.sqrt(torch.threshold(x, least, math.inf)))
 
 
 def reciprocal_or_zero(x: Tensor, least: float = 0.0) -> Tensor:
     """``1/x`` for x > ``least`` >= 0; 0 with gradient 0 elsewhere."""
-    return torch.reciprocal(functional.threshold(x, least, math.inf))
+    return torch.reciprocal(torch.threshold(x, least, math.inf))
 
 
 def log1p_power(m: Tensor, exponent: Tensor) -> Tensor:
@@ -105,15 +110,16 @@ def log1p_power(m: Tensor, exponent: Tensor) -> Tensor:
     """
     half_ulp = 0.5 * torch.finfo(m.dtype).eps
     log_value = exponent * torch.log1p(-m.clamp_max(1.0 - half_ulp))  # there the logarithm is still finite
-    if torch.compiler.is_compiling():
-        return flushed_exp(log_value) * (1.0 - step(m - (1.0 - half_ulp * step(exponent))))
-    return flushed_exp(log_value) * (m <= 1.0 - half_ulp * (exponent > 0))
+    if few(m):
+        return flushed_exp(log_value) * (m <= 1.0 - half_ulp * (exponent > 0))
+    black_beyond = 1.0 - half_ulp * step(exponent)
+    return flushed_exp(log_value) * (1.0 - step(m - black_beyond))
 
 
 def flushed_exp(log_value: Tensor) -> Tensor:
     """``exp`` of a finite number where the result is a normal number; 0 with gradient 0 below."""
     lowest = math.log(2.0 * tiny(log_value.dtype))  # twice, because exp() of the bound itself rounds to a denormal
-    return torch.exp(functional.threshold(log_value, lowest, -math.inf))
+    return torch.exp(torch.threshold(log_value, lowest, -math.inf))
 
 
 def cosine_power(cos: Tensor, sin2: Tensor, exponent: Tensor) -> Tensor:

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from . import arguments, numerics
 
@@ -99,7 +98,7 @@ def _direction_and_inverse_length(p: Tensor) -> tuple[Vec, Tensor]:
 
 def _shrink(largest: Tensor) -> Tensor:
     """1 / the largest component, a constant; 0 for vectors that count as none. Its rounding does not matter: it leaves with the length."""
-    return torch.reciprocal(functional.threshold(largest, 2.0 / torch.finfo(largest.dtype).max, math.inf))
+    return torch.reciprocal(torch.threshold(largest, 2.0 / torch.finfo(largest.dtype).max, math.inf))
 
 
 def _inverse_length(u: Vec) -> Tensor:

@@ -5,13 +5,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from .. import numerics
 from ..bsdf.base import Bsdf
 from ..geometry import Channels, Layout, each
 from ..light.base import Light, LightKind
 from ..scene.gbuffer import GBuffer
 from .base import Contribution, Surface
-
-FEW = 1 << 15  # points
 
 
 def rows_of(lights: Sequence[Light], kinds: tuple[LightKind, ...]) -> list[tuple[int, Light]]:
@@ -26,7 +25,7 @@ def rows_of(lights: Sequence[Light], kinds: tuple[LightKind, ...]) -> list[tuple
 
 def rank(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int | None:
     """How many axes numbers have at most where colours lie as one tensor ``[C, ...]``: for few points, eagerly (see :class:`Layout`)."""
-    if torch.compiler.is_compiling() or bsdf.is_wide or g.batch_shape.numel() > FEW:
+    if torch.compiler.is_compiling() or bsdf.is_wide or g.batch_shape.numel() > numerics.FEW:
         return None
     return len(g.batch_shape) + any(len(light) > 1 for light in lights)
 

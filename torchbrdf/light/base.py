@@ -176,6 +176,8 @@ class DeltaLight(Light):
     def _first(self, colour: Tensor, points: int, rank: int, layout: Layout) -> Tensor:
         """A colour ``[L, C]`` as ``[C, ...]``, with an axis of L where numbers may have more axes than ``points`` have."""
         rows, views = layout.follow(colour, axes=colour.dim()), self.views
+        if len(self) == 1 and not views:
+            return rows.reshape(-1, *(1,) * rank)
         if not views:
             each = (rows.shape[0] if rows.dim() > 1 else 1,) * (rank - points)
             return rows.movedim(-1, 0).reshape(-1, *each, *(1,) * points)
