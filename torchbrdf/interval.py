@@ -74,25 +74,25 @@ class Interval(Constraint):
     def _between(self, u: Tensor) -> Tensor:
         span, info = self.high - self.low, torch.finfo(u.dtype)
         if not (self.open_low or self.open_high):
-            part = torch.sin(0.5 * u.clamp(info.min, info.max)).square()
+            part = torch.sin(0.5 * numerics.between(u, info.min, info.max)).square()
             return part if (self.low, self.high) == (0.0, 1.0) else self.low + span * part
         # The least part of the span that does not vanish beside an end, twice over.
         least_low = max(info.tiny, 4.0 * info.eps * abs(self.low) / span)
         least_high = max(info.eps, 4.0 * info.eps * max(abs(self.high), abs(self.low)) / span)
         if self.open_low and self.open_high:
-            return self.low + span * torch.sigmoid(u.clamp(math.log(least_low), -math.log(least_high)))
+            return self.low + span * torch.sigmoid(numerics.between(u, math.log(least_low), -math.log(least_high)))
         if self.open_low:
             most = 2.0 * math.acosh(1.0 / math.sqrt(least_low))
-            return self.low + span / torch.cosh(0.5 * u.clamp(-most, most)).square()
+            return self.low + span / torch.cosh(0.5 * numerics.between(u, -most, most)).square()
         most = 2.0 * math.atanh(math.sqrt(1.0 - 2.0 * least_high))
-        return self.low + span * torch.tanh(0.5 * u.clamp(-most, most)).square()
+        return self.low + span * torch.tanh(0.5 * numerics.between(u, -most, most)).square()
 
     def _above(self, u: Tensor) -> Tensor:
         info = torch.finfo(u.dtype)
         most = -math.log(info.tiny)
         if self.open_low:
-            return self.low + torch.exp(u.clamp(math.log(max(info.tiny, 2.0 * info.eps * abs(self.low))), most))
-        root = torch.sinh(0.5 * u.clamp(-most, most))
+            return self.low + torch.exp(numerics.between(u, math.log(max(info.tiny, 2.0 * info.eps * abs(self.low))), most))
+        root = torch.sinh(0.5 * numerics.between(u, -most, most))
         above = root.abs() if self.low in self.flat else root.square()
         return above if self.low == 0 else self.low + above
 

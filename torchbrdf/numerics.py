@@ -11,6 +11,7 @@ import math
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 FEW = 1 << 15  # numbers
 HALF_TYPES = (torch.float16, torch.bfloat16)
@@ -74,6 +75,11 @@ def step(x: Tensor) -> Tensor:
 def unit_interval(x: Tensor) -> Tensor:
     """x held to [0, 1] against rounding. The gradient passes at exactly 0 and 1 (``clamp`` would kill it) and is 0 beyond."""
     return torch.where(x < 0, 0.0, torch.where(x > 1, 1.0, x))
+
+
+def between(x: Tensor, low: float, high: float) -> Tensor:
+    """x held to [low, high], NaN to itself. Gradient: 0 from either end on. (That of ``clamp`` takes five operations instead of one.)"""
+    return functional.hardtanh(x, low, high)
 
 
 def at_most(x: Tensor, most: float) -> Tensor:

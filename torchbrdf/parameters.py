@@ -30,6 +30,8 @@ def follow(parameter: Tensor, dtype: torch.dtype, device: torch.device, axes: in
     One with batch axes was checked, and is only widened if of a half type. One that will be taken ``apart`` into 0-dimensional tensors
     stays on the CPU: kernels on other devices take such numbers from there, which saves a copy.
     """
+    if parameter.dtype == dtype and parameter.device == device:
+        return parameter
     if parameter.dim() > axes:
         return parameter.to(dtype) if parameter.dtype in numerics.HALF_TYPES else parameter
     stays = apart and parameter.device.type == "cpu"
