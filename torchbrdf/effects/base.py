@@ -90,7 +90,7 @@ class Surface(NamedTuple):
             return Vec(*map(layout.lift, v))
 
         normal, view = (numerics.widen(v) for v in (g.normal, g.require_view()))
-        together = rank is not None and normal.shape == view.shape
+        together = rank is not None and normal.shape == view.shape and normal.requires_grad == view.requires_grad
         pair = vector.unit_pair(normal, view) if together else map(vector.unit_components, (normal, view))
         n, wo = map(lifted, pair)
         tangent = None if g.tangent is None else lifted(vector.components(numerics.widen(g.tangent)))

@@ -79,5 +79,5 @@ def _planes(colour: Channels | None, surface: Surface, count: int) -> Tensor:
         return colour[0].expand(*surface.shape, count).movedim(-1, 0).contiguous()
     if layout.rank is not None:
         whole = (count, *surface.shape)
-        return colour[0] if colour[0].shape == whole else colour[0].expand(whole).contiguous()
+        return (colour[0] if colour[0].shape == whole else colour[0].expand(whole)).contiguous()  # parameters may lie interleaved
     return torch.stack([c.expand(surface.shape) for c in (colour if len(colour) == count else colour * count)])
