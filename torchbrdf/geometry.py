@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from . import numerics, parameters, vector
-from .vector import Vec, add, cross, dot, scale, subtract
+from .vector import Vec, add, cross, dot, scale
 
 Channels = tuple[Tensor, ...]
 
