@@ -131,12 +131,34 @@ def test_channels_of_an_effect_of_ones_own(monkeypatch, lights):
     torch.testing.assert_close(found[0], found[1])
 
 
-def test_a_mirror_of_few_points(monkeypatch):
+@pytest.mark.parametrize("others", [0, 2])
+def test_a_mirror_of_few_points(monkeypatch, others):
     g, sky, found = sheet(6), tb.EnvironmentMap(torch.rand(4, 8, 3)), []
     for few in (numerics.FEW, 0):
         monkeypatch.setattr(numerics, "FEW", few)
-        found.append(tb.shade(g, tb.Mirror(0.9) + tb.Mirror([0.1, 0.2, 0.3], tb.Dielectric(1.5)), [sky, sky]))
+        found.append(tb.shade(g, tb.Mirror(0.9) + tb.Mirror([0.1, 0.2, 0.3], tb.Dielectric(1.5)), [sky, *three_lights()[:others], sky]))
     torch.testing.assert_close(found[0], found[1])
+
+
+def test_more_channels_of_light_than_of_matter(monkeypatch):
+    found = []
+    for few in (numerics.FEW, 0):
+        monkeypatch.setattr(numerics, "FEW", few)
+        found.append(tb.shade(sheet(6), tb.Lambert(0.5), tb.PointLight([0.0, 1.0, 3.0], torch.arange(1.0, 9.0))))
+    assert found[0].shape == (6, 6, 8)
+    torch.testing.assert_close(found[0], found[1])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_edge_of_a_lobe_of_few_points(monkeypatch, dtype):
+    half_ulp = 0.5 * torch.finfo(dtype).eps
+    m = torch.tensor([0.0, 0.5, 1.0 - half_ulp, 1.0, 1.0 + 2 * half_ulp, 1.5], dtype=dtype)
+    s, found = torch.tensor([[0.0], [1e-3], [1.0], [50.0]], dtype=dtype), []
+    for few in (numerics.FEW, 0):
+        monkeypatch.setattr(numerics, "FEW", few)
+        found.append(numerics.log1p_power(m, s))
+    assert torch.equal(*found)
+    assert found[0][:, 3].tolist() == [1.0, 0.0, 0.0, 0.0], "0 ** 0 is 1"
 
 
 def test_what_was_wrong_is_wrong_again():

@@ -117,7 +117,7 @@ def log1p_power(m: Tensor, exponent: Tensor) -> Tensor:
     half_ulp = 0.5 * torch.finfo(m.dtype).eps
     log_value = exponent * torch.log1p(-m.clamp_max(1.0 - half_ulp))  # there the logarithm is still finite
     if few(m):
-        return flushed_exp(log_value) * (m <= 1.0 - half_ulp * (exponent > 0))
+        return flushed_exp(log_value) * (m <= 1.0 - half_ulp * torch.sign(exponent))
     black_beyond = 1.0 - half_ulp * step(exponent)
     return flushed_exp(log_value) * (1.0 - step(m - black_beyond))
 

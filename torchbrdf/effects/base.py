@@ -113,7 +113,10 @@ class Surface(NamedTuple):
 
 
 class Contribution(NamedTuple):
-    """Radiance of some rows of lights: with a leading axis where there are several rows, without where there is one."""
+    """Radiance of some rows of lights: with a leading axis where there are several rows, without where there is one.
+
+    Formulas of a layout with a ``rank`` give one tensor ``[C, ...]``, its second axis that of the rows where any light has several.
+    """
 
     rows: slice
     radiance: Channels

@@ -27,6 +27,9 @@ def rank(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int | None:
     """How many axes numbers have at most where colours lie as one tensor ``[C, ...]``: for few points, eagerly (see :class:`Layout`)."""
     if torch.compiler.is_compiling() or bsdf.is_wide or g.batch_shape.numel() > numerics.FEW:
         return None
+    device = g.position.device
+    if device.type != "cpu" and any(t.device != device for _, t in bsdf.named_tensors()):
+        return None  # numbers reach kernels from the CPU without a copy, one by one
     return len(g.batch_shape) + any(len(light) > 1 for light in lights)
 
 
