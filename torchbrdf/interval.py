@@ -69,12 +69,16 @@ class Interval(Constraint):
         """
         if not math.isfinite(self.low):
             return u if not math.isfinite(self.high) else -self._mirrored().from_unconstrained(u)
-        return self._above(u) if not math.isfinite(self.high) else numerics.at_most(self._between(u), self.high)
+        if not math.isfinite(self.high):
+            return self._above(u)
+        found = self._between(u)
+        # A sine wrong by less than 2 ulp, as all are, is at most 1.
+        return found if (self.low, self.high) == (0.0, 1.0) and not (self.open_low or self.open_high) else numerics.at_most(found, self.high)
 
     def _between(self, u: Tensor) -> Tensor:
         span, info = self.high - self.low, torch.finfo(u.dtype)
         if not (self.open_low or self.open_high):
-            part = torch.sin(0.5 * numerics.between(u, info.min, info.max)).square()
+            part = _squared(torch.sin(0.5 * numerics.between(u, info.min, info.max)))
             return part if (self.low, self.high) == (0.0, 1.0) else self.low + span * part
         # The least part of the span that does not vanish beside an end, twice over.
         least_low = max(info.tiny, 4.0 * info.eps * abs(self.low) / span)
@@ -93,7 +97,7 @@ class Interval(Constraint):
         if self.open_low:
             return self.low + torch.exp(numerics.between(u, math.log(max(info.tiny, 2.0 * info.eps * abs(self.low))), most))
         root = torch.sinh(0.5 * numerics.between(u, -most, most))
-        above = root.abs() if self.low in self.flat else root.square()
+        above = root.abs() if self.low in self.flat else _squared(root)
         return above if self.low == 0 else self.low + above
 
     def to_unconstrained(self, x: Tensor) -> Tensor:
@@ -137,6 +141,11 @@ class Interval(Constraint):
         if math.isfinite(self.low):
             return self.low, self.high if math.isfinite(self.high) else self.low + 1.0
         return (self.high - 1.0, self.high) if math.isfinite(self.high) else (-1.0, 1.0)
+
+
+def _squared(x: Tensor) -> Tensor:
+    """As a product, whose derivative takes fewer operations than that of ``square``."""
+    return x * x
 
 
 REAL = Interval()

@@ -87,7 +87,7 @@ class Surface(NamedTuple):
         layout = Layout.beside(g.position, wide, rank)
 
         def lifted(v: Vec) -> Vec:
-            return Vec(*map(layout.lift, v))
+            return Vec(*map(layout.lift, v)) if wide else v
 
         normal, view = (numerics.widen(v) for v in (g.normal, g.require_view()))
         together = rank is not None and normal.shape == view.shape and normal.requires_grad == view.requires_grad
