@@ -10,7 +10,7 @@ from torchbrdf import kinds, numerics
 from torchbrdf.effects.base import Contribution
 from torchbrdf.effects.direct import Direct
 
-CALL, STEP = 112, 202  # of this scene; the limit of a planned call is 120. (Textbook code that normalises as much: 63, and 128.)
+CALL, STEP = 112, 177  # of this scene; the limit of a planned call is 120. (Textbook code that normalises as much: 63, and 128.)
 LOOKS = ("_local_scalar_dense", "item", "aminmax", "all", "any", "equal", "nonzero", "is_nonzero", "isfinite")
 POINT = tb.PointLight([1.5, 2.0, 3.0], [20.0, 18.0, 16.0])
 MODEL = tb.Lambert([0.5, 0.4, 0.3]) + tb.Phong([0.5, 0.4, 0.3], 12.0, fresnel=tb.Schlick([0.1, 0.05, 0.04]))

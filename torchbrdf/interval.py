@@ -72,8 +72,8 @@ class Interval(Constraint):
         if not math.isfinite(self.high):
             return self._above(u)
         found = self._between(u)
-        # A sine wrong by less than 2 ulp, as all are, is at most 1.
-        return found if (self.low, self.high) == (0.0, 1.0) and not (self.open_low or self.open_high) else numerics.at_most(found, self.high)
+        squared_sine = (self.low, self.high, self.open_low, self.open_high) == (0.0, 1.0, False, False)
+        return found if squared_sine else numerics.at_most(found, self.high)  # a sine wrong by less than 2 ulp, as all are, is at most 1
 
     def _between(self, u: Tensor) -> Tensor:
         span, info = self.high - self.low, torch.finfo(u.dtype)
