@@ -18,6 +18,7 @@ FLOORS = {
             "interval",
             "declaration",
             "kinds",
+            "layout",
             "value",
             "loading",
             "stacking",
