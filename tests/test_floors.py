@@ -17,6 +17,8 @@ FLOORS = {
             "constraint",
             "interval",
             "declaration",
+            "kinds",
+            "layout",
             "value",
             "loading",
             "stacking",

@@ -69,30 +69,36 @@ class Interval(Constraint):
         """
         if not math.isfinite(self.low):
             return u if not math.isfinite(self.high) else -self._mirrored().from_unconstrained(u)
-        return self._above(u) if not math.isfinite(self.high) else numerics.at_most(self._between(u), self.high)
+        if not math.isfinite(self.high):
+            return self._above(u)
+        found = self._between(u)
+        squared_sine = (self.low, self.high, self.open_low, self.open_high) == (0.0, 1.0, False, False)
+        return found if squared_sine else numerics.at_most(found, self.high)  # a sine wrong by less than 2 ulp, as all are, is at most 1
 
     def _between(self, u: Tensor) -> Tensor:
         span, info = self.high - self.low, torch.finfo(u.dtype)
         if not (self.open_low or self.open_high):
-            return self.low + span * torch.sin(0.5 * u.clamp(info.min, info.max)).square()
+            part = _squared(torch.sin(0.5 * numerics.between(u, info.min, info.max)))
+            return part if (self.low, self.high) == (0.0, 1.0) else self.low + span * part
         # The least part of the span that does not vanish beside an end, twice over.
         least_low = max(info.tiny, 4.0 * info.eps * abs(self.low) / span)
         least_high = max(info.eps, 4.0 * info.eps * max(abs(self.high), abs(self.low)) / span)
         if self.open_low and self.open_high:
-            return self.low + span * torch.sigmoid(u.clamp(math.log(least_low), -math.log(least_high)))
+            return self.low + span * torch.sigmoid(numerics.between(u, math.log(least_low), -math.log(least_high)))
         if self.open_low:
             most = 2.0 * math.acosh(1.0 / math.sqrt(least_low))
-            return self.low + span / torch.cosh(0.5 * u.clamp(-most, most)).square()
+            return self.low + span / torch.cosh(0.5 * numerics.between(u, -most, most)).square()
         most = 2.0 * math.atanh(math.sqrt(1.0 - 2.0 * least_high))
-        return self.low + span * torch.tanh(0.5 * u.clamp(-most, most)).square()
+        return self.low + span * torch.tanh(0.5 * numerics.between(u, -most, most)).square()
 
     def _above(self, u: Tensor) -> Tensor:
         info = torch.finfo(u.dtype)
         most = -math.log(info.tiny)
         if self.open_low:
-            return self.low + torch.exp(u.clamp(math.log(max(info.tiny, 2.0 * info.eps * abs(self.low))), most))
-        root = torch.sinh(0.5 * u.clamp(-most, most))
-        return self.low + (root.abs() if self.low in self.flat else root.square())
+            return self.low + torch.exp(numerics.between(u, math.log(max(info.tiny, 2.0 * info.eps * abs(self.low))), most))
+        root = torch.sinh(0.5 * numerics.between(u, -most, most))
+        above = root.abs() if self.low in self.flat else _squared(root)
+        return above if self.low == 0 else self.low + above
 
     def to_unconstrained(self, x: Tensor) -> Tensor:
         """A u >= 0 (any, above an open end) with ``from_unconstrained(u) = x``; where no gradient is, one beside it.
@@ -135,6 +141,11 @@ class Interval(Constraint):
         if math.isfinite(self.low):
             return self.low, self.high if math.isfinite(self.high) else self.low + 1.0
         return (self.high - 1.0, self.high) if math.isfinite(self.high) else (-1.0, 1.0)
+
+
+def _squared(x: Tensor) -> Tensor:
+    """As a product, whose derivative takes fewer operations than that of ``square``."""
+    return x * x
 
 
 REAL = Interval()

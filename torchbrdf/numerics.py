@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+FEW = 1 << 14  # numbers; measured: up to twice as many, one operation for all channels is no slower eagerly
 HALF_TYPES = (torch.float16, torch.bfloat16)
 TEXT_DIGITS = math.sqrt(torch.finfo(torch.float32).eps)  # half the digits of float32, as matrices and vectors have them in text files
 
@@ -50,10 +51,15 @@ def working(*xs: Tensor | float) -> tuple[list[Tensor], torch.dtype]:
     return made, dtype
 
 
+def few(x: Tensor) -> bool:
+    """Whether dispatching an operation on x takes about as long as the operation; never inside graphs, where nothing is dispatched."""
+    return not torch.compiler.is_compiling() and x.numel() <= FEW
+
+
 def positive(x: Tensor) -> Tensor:
     """``max(x, 0)``. Gradient: 1 for x >= 0 (at 0 that of the lit side), 0 below."""
     info = torch.finfo(x.dtype)
-    return functional.threshold(x, -info.smallest_normal * info.eps, 0.0)  # "greater than the number below 0"
+    return torch.threshold(x, -info.smallest_normal * info.eps, 0.0)  # "greater than the number below 0"
 
 
 def finite_or_zero(x: Tensor) -> Tensor:
@@ -69,6 +75,11 @@ def step(x: Tensor) -> Tensor:
 def unit_interval(x: Tensor) -> Tensor:
     """x held to [0, 1] against rounding. The gradient passes at exactly 0 and 1 (``clamp`` would kill it) and is 0 beyond."""
     return torch.where(x < 0, 0.0, torch.where(x > 1, 1.0, x))
+
+
+def between(x: Tensor, low: float, high: float) -> Tensor:
+    """x held to [low, high], NaN to itself. Gradient: 0 from either end on. (That of ``clamp`` takes five operations instead of one.)"""
+    return functional.hardtanh(x, low, high)
 
 
 def at_most(x: Tensor, most: float) -> Tensor:
@@ -88,12 +99,12 @@ def negligible(dtype: torch.dtype) -> float:
 
 def safe_sqrt(x: Tensor, least: float = 0.0) -> Tensor:
     """``sqrt(x)`` for finite x > ``least``, else 0. Gradient: the true one there (not capped); else 0, at 0 in place of infinity."""
-    return finite_or_zero(torch.sqrt(functional.threshold(x, least, math.inf)))
+    return finite_or_zero(torch.sqrt(torch.threshold(x, least, math.inf)))
 
 
 def reciprocal_or_zero(x: Tensor, least: float = 0.0) -> Tensor:
     """``1/x`` for x > ``least`` >= 0; 0 with gradient 0 elsewhere."""
-    return torch.reciprocal(functional.threshold(x, least, math.inf))
+    return torch.reciprocal(torch.threshold(x, least, math.inf))
 
 
 def log1p_power(m: Tensor, exponent: Tensor) -> Tensor:
@@ -105,6 +116,8 @@ def log1p_power(m: Tensor, exponent: Tensor) -> Tensor:
     """
     half_ulp = 0.5 * torch.finfo(m.dtype).eps
     log_value = exponent * torch.log1p(-m.clamp_max(1.0 - half_ulp))  # there the logarithm is still finite
+    if few(m):
+        return flushed_exp(log_value) * (m <= 1.0 - half_ulp * torch.sign(exponent))
     black_beyond = 1.0 - half_ulp * step(exponent)
     return flushed_exp(log_value) * (1.0 - step(m - black_beyond))
 
@@ -112,7 +125,7 @@ def log1p_power(m: Tensor, exponent: Tensor) -> Tensor:
 def flushed_exp(log_value: Tensor) -> Tensor:
     """``exp`` of a finite number where the result is a normal number; 0 with gradient 0 below."""
     lowest = math.log(2.0 * tiny(log_value.dtype))  # twice, because exp() of the bound itself rounds to a denormal
-    return torch.exp(functional.threshold(log_value, lowest, -math.inf))
+    return torch.exp(torch.threshold(log_value, lowest, -math.inf))
 
 
 def cosine_power(cos: Tensor, sin2: Tensor, exponent: Tensor) -> Tensor:

@@ -30,6 +30,8 @@ def follow(parameter: Tensor, dtype: torch.dtype, device: torch.device, axes: in
     One with batch axes was checked, and is only widened if of a half type. One that will be taken ``apart`` into 0-dimensional tensors
     stays on the CPU: kernels on other devices take such numbers from there, which saves a copy.
     """
+    if parameter.dtype == dtype and parameter.device == device:
+        return parameter
     if parameter.dim() > axes:
         return parameter.to(dtype) if parameter.dtype in numerics.HALF_TYPES else parameter
     stays = apart and parameter.device.type == "cpu"
@@ -74,14 +76,15 @@ def _picture(shape: torch.Size, points: torch.Size) -> str:
 
 
 def _matches(t: Tensor, points: Tensor) -> bool:
-    return t.device == points.device and (t.dtype == points.dtype or (_is_narrower(t, points) and _autocast(points.device.type)))
+    return t.device == points.device and (t.dtype == points.dtype or (_is_narrower(t, points) and autocast(points.device.type)))
 
 
 def _is_narrower(t: Tensor, points: Tensor) -> bool:
     return t.dtype in numerics.HALF_TYPES and points.dtype not in numerics.HALF_TYPES
 
 
-def _autocast(device: str) -> bool:
+def autocast(device: str) -> bool:
+    """Whether ``torch.autocast`` is on for a type of device."""
     return device != "meta" and torch.is_autocast_enabled(device)
 
 

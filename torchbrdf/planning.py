@@ -60,6 +60,8 @@ class Plan:
         sources = check.as_list(lights)
         check.check_mesh(mesh)
         self._check_lost_shadows(mesh, visibility)
+        if all(type(e).prepare is Effect.prepare for e in self.effects):
+            return Prepared()
         scene = Scene(g, None, sources, mesh, visibility)  # type: ignore[arg-type]
         with torch.no_grad():
             found = {e.name: e.prepare(scene, generator) for e in self.effects}
@@ -87,7 +89,7 @@ class Plan:
         self._check_kinds(bsdf, sources)
         if not isinstance(prepared, Prepared):
             prepared = self.prepare(g, sources, mesh, visibility if prepared is None else prepared)
-        surface = Surface.of(g, bsdf.is_wide)
+        surface = Surface.of(g, bsdf.is_wide, rows.rank(g, bsdf, sources))
         parts: list[Contribution] = []
         for effect in self.effects:
             part = bsdf.select(effect.lobes)

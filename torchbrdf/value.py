@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 import torch
 from torch import Tensor
 
-from . import arguments, synonyms, torch_compat
+from . import arguments, kinds, synonyms, torch_compat
 from .declaration import COLOUR, PAIR, SCALAR, VECTOR, Param, param
 from .io import files, saved
 
@@ -30,14 +30,14 @@ def has_tensors(x: Any) -> bool:
 
 
 def once(compute: Callable[[Any], T]) -> Any:
-    """A property of kinds and shapes, found once: values are frozen. Inside graphs, where it costs nothing, it is found anew."""
+    """A property of kinds and shapes, found once for all values of a kind. Inside graphs, where it costs nothing, it is found anew."""
     name = f"_{compute.__name__}"
 
     def get(self: Any) -> T:
         if torch.compiler.is_compiling():
             return compute(self)
         if name not in self.__dict__:
-            object.__setattr__(self, name, compute(self))
+            object.__setattr__(self, name, kinds.recall((name, kinds.held(self)), lambda: compute(self)))
         found: T = self.__dict__[name]
         return found
 
@@ -54,7 +54,17 @@ class Value:
     _unsaid: ClassVar[tuple[str, str]] = ("method", "standard")  # a choice that repr leaves out
 
     def __post_init__(self) -> None:
-        """Turn numbers into tensors and check shapes and dtypes (never tensor values: this runs inside graphs)."""
+        """Turn numbers into tensors and check shapes and dtypes (never tensor values: this runs inside graphs).
+
+        What was right once is right for every value of that kind: of another like it, as in each step of learning, nothing is looked at.
+        """
+        if torch.compiler.is_compiling():
+            return self._check_fields()
+        if not kinds.known(("right", kinds.of(self))):
+            self._check_fields()
+            kinds.recall(("right", kinds.of(self)), lambda: True)
+
+    def _check_fields(self) -> None:
         for name, spec in self.params().items():
             raw = getattr(self, name)
             where = f"{type(self).__name__}.{name}"

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from . import arguments, numerics
 
@@ -80,6 +79,8 @@ def direction_and_inverse_length(v: Vec) -> tuple[Vec, Tensor]:
     A zero vector gives direction 0 and inverse length 0, both with gradient 0; so does one so short that 1 / length, which is
     also the slope of the direction, is not a number of the dtype.
     """
+    if not torch.compiler.is_compiling():
+        return _direction_and_inverse_length(torch.stack(torch.broadcast_tensors(*v)))
     x, y, z = (c.detach().abs() for c in v)
     shrink = _shrink(torch.maximum(torch.maximum(x, y), z))
     u = scale(v, shrink)
@@ -87,9 +88,17 @@ def direction_and_inverse_length(v: Vec) -> tuple[Vec, Tensor]:
     return scale(u, inverse), inverse * shrink
 
 
+def _direction_and_inverse_length(p: Tensor) -> tuple[Vec, Tensor]:
+    """Of components ``[3, ...]``: eagerly with fewer operations."""
+    shrink = _shrink(p.detach().abs().amax(0))
+    u = p * shrink
+    inverse = torch.rsqrt((u * u).sum(0).clamp_min(0.5))
+    return Vec(*(u * inverse).unbind(0)), inverse * shrink
+
+
 def _shrink(largest: Tensor) -> Tensor:
     """1 / the largest component, a constant; 0 for vectors that count as none. Its rounding does not matter: it leaves with the length."""
-    return torch.reciprocal(functional.threshold(largest, 2.0 / torch.finfo(largest.dtype).max, math.inf))
+    return torch.reciprocal(torch.threshold(largest, 2.0 / torch.finfo(largest.dtype).max, math.inf))
 
 
 def _inverse_length(u: Vec) -> Tensor:
@@ -113,8 +122,20 @@ def unit_components(v: Tensor) -> Vec:
     """``[..., 3]`` to unit length and apart, as :func:`normalize_components`; eagerly with fewer operations."""
     if torch.compiler.is_compiling():  # components fuse into one loop, a reduction over an axis of 3 does not
         return normalize_components(components(v))
-    largest = v.detach().abs().amax(-1)
-    return _unit(finite_components(v), largest)
+    return Vec(*_unit_planes(v.movedim(-1, 0), 0).unbind(0))
+
+
+def unit_pair(a: Tensor, b: Tensor) -> tuple[Vec, Vec]:
+    """:func:`unit_components` of two at once: eagerly with fewer operations, where they are few and of one shape."""
+    both = _unit_planes(torch.stack([a.movedim(-1, 0), b.movedim(-1, 0)]), 1).flatten(0, 1).unbind(0)
+    return Vec(*both[:3]), Vec(*both[3:])
+
+
+def _unit_planes(p: Tensor, axis: int) -> Tensor:
+    """Along the axis of components, as :func:`normalize_components`; eagerly."""
+    largest = torch.nan_to_num(p.detach().abs().amax(axis, keepdim=True), math.inf, math.inf)
+    u = numerics.finite_or_zero(p) * _shrink(largest)
+    return u * torch.rsqrt((u * u).sum(axis, keepdim=True).clamp_min(0.5))
 
 
 def finite_components(v: Tensor) -> Vec:

@@ -58,10 +58,14 @@ class Sum(Bsdf):
 
     def select(self, wanted: Lobe) -> Bsdf | None:
         kept = tuple(s for t in self.terms if (s := t.select(wanted)) is not None)
+        if len(kept) == len(self.terms) and all(s is t for s, t in zip(kept, self.terms, strict=True)):
+            return self
         return Sum(kept) if len(kept) > 1 else kept[0] if kept else None
 
     def domain(self, g: Geometry) -> Tensor:
         """The union of the terms' domains; outside its own, each term is 0."""
+        if _of_one_domain(self.terms):
+            return g.above
         found = self.terms[0].domain(g)
         for t in self.terms[1:]:
             found = found | t.domain(g)
@@ -146,7 +150,7 @@ class Scaled(Bsdf):
 
     def select(self, wanted: Lobe) -> Bsdf | None:
         kept = self.inner.select(wanted)
-        return None if kept is None else Scaled(kept, self.factor)
+        return None if kept is None else self if kept is self.inner else Scaled(kept, self.factor)
 
     def domain(self, g: Geometry) -> Tensor:
         return self.inner.domain(g)
@@ -173,10 +177,15 @@ class Scaled(Bsdf):
 
 def _inside(term: Bsdf, g: Geometry, terms: tuple[Bsdf, ...]) -> Channels:
     """A term's formula, held to its own domain where the terms' domains differ."""
-    if all(type(t).domain is Bsdf.domain for t in terms):
+    if _of_one_domain(terms):
         return term.formula(g)
     inside = term.domain(g).to(g.cos_i.dtype)
     return tuple(f * inside for f in term.formula(g))
+
+
+def _of_one_domain(terms: tuple[Bsdf, ...]) -> bool:
+    """Whether all terms keep the usual one, :attr:`Geometry.above`."""
+    return all(type(t).domain is Bsdf.domain for t in terms)
 
 
 def _choose(mask: Tensor, a: Draw, b: Draw) -> Draw:

@@ -82,14 +82,17 @@ class Surface(NamedTuple):
     shape: torch.Size  # of the points
 
     @staticmethod
-    def of(g: GBuffer, wide: bool) -> "Surface":
+    def of(g: GBuffer, wide: bool, rank: int | None = None) -> "Surface":
         """Directions are normalised here, once; zero and non-finite ones become 0, which no domain contains."""
-        layout = Layout.beside(g.position, wide)
+        layout = Layout.beside(g.position, wide, rank)
 
         def lifted(v: Vec) -> Vec:
-            return Vec(*map(layout.lift, v))
+            return Vec(*map(layout.lift, v)) if wide else v
 
-        n, wo = (lifted(vector.unit_components(numerics.widen(v))) for v in (g.normal, g.require_view()))
+        normal, view = (numerics.widen(v) for v in (g.normal, g.require_view()))
+        together = rank is not None and normal.shape == view.shape and normal.requires_grad == view.requires_grad
+        pair = vector.unit_pair(normal, view) if together else map(vector.unit_components, (normal, view))
+        n, wo = map(lifted, pair)
         tangent = None if g.tangent is None else lifted(vector.components(numerics.widen(g.tangent)))
         handedness = None if g.handedness is None else layout.lift(g.handedness.squeeze(-1))
         mask = None if g.mask is None else layout.lift(g.mask.squeeze(-1))
@@ -106,12 +109,14 @@ class Surface(NamedTuple):
         inside = bsdf.domain(g)
         if self.mask is not None:
             inside = inside & self.mask
-        hidden = 2.0 - 2.0 * inside.to(g.cos_i.dtype)
-        return numerics.positive(g.cos_i.abs() - hidden)
+        return numerics.positive(torch.add(g.cos_i.abs(), ~inside, alpha=-2))
 
 
 class Contribution(NamedTuple):
-    """Radiance of some rows of lights: with a leading axis where there are several rows, without where there is one."""
+    """Radiance of some rows of lights: with a leading axis where there are several rows, without where there is one.
+
+    Formulas of a layout with a ``rank`` give one tensor ``[C, ...]``, its second axis that of the rows where any light has several.
+    """
 
     rows: slice
     radiance: Channels

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import arguments, parameters
+from .. import arguments, kinds, parameters
 from ..bsdf.base import Bsdf
 from ..light.base import DeltaLight, Light, LightKind
 from ..scene.gbuffer import GBuffer
@@ -28,7 +28,17 @@ def as_list(lights: Light | Sequence[Light]) -> list[Light]:
 
 
 def check_scene(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int:
-    """Check kinds, shapes, dtypes and devices against each other; returns C, the number of channels of the radiance."""
+    """Check kinds, shapes, dtypes and devices against each other; returns C, the number of channels of the radiance.
+
+    What was right once is looked up (:mod:`~torchbrdf.kinds`).
+    """
+    if torch.compiler.is_compiling() or not isinstance(g, GBuffer):
+        return _check_scene(g, bsdf, lights)
+    scene = kinds.of((g, bsdf, *lights), anew=True)
+    return kinds.recall(("scene", parameters.autocast(g.position.device.type), scene), lambda: _check_scene(g, bsdf, lights))
+
+
+def _check_scene(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> int:
     if not isinstance(g, GBuffer):
         raise TypeError(f"g: {_expected(g, 'a G-buffer', 'tb.GBuffer.from_mesh(mesh, camera)')}")
     if not isinstance(bsdf, Bsdf):

@@ -156,15 +156,30 @@ class DeltaLight(Light):
         """
         count, views = len(self), self.views
         rows = layout.follow(parameter, axes=parameter.dim())
+        if count == 1 and not views:
+            return rows.reshape(-1).unbind(0)
         columns = rows.expand(*views, count, rows.shape[-1]).unbind(-1)
         behind = (1,) * (points.x.dim() - len(views))
         if count > 1:
             return tuple(c.movedim(-1, 0).reshape(count, *views, *behind) for c in columns)
-        return tuple(c.reshape(*views, *behind) if views else c.squeeze(0) for c in columns)
+        return tuple(c.reshape(*views, *behind) for c in columns)
 
     def colour_axis(self, colour: Tensor, points: Vec, layout: Layout) -> Channels:
         """A colour ``[L, C]`` as channels beside points."""
+        if layout.rank is not None:
+            return (self._first(colour, points.x.dim(), layout.rank, layout),)
         columns = self.axis(colour, points, layout)
         if not layout.wide:
             return columns
         return (torch.cat([c if c.dim() else c.reshape(1) for c in columns], -1),)
+
+    def _first(self, colour: Tensor, points: int, rank: int, layout: Layout) -> Tensor:
+        """A colour ``[L, C]`` as ``[C, ...]``, with an axis of L where numbers may have more axes than ``points`` have."""
+        rows, views = layout.follow(colour, axes=colour.dim()), self.views
+        if len(self) == 1 and not views:
+            return rows.reshape(-1, *(1,) * rank)
+        if not views:
+            each = (rows.shape[0] if rows.dim() > 1 else 1,) * (rank - points)
+            return rows.movedim(-1, 0).reshape(-1, *each, *(1,) * points)
+        whole = rows.expand(*views, len(self), rows.shape[-1]).movedim((-1, -2), (0, 1))
+        return whole.reshape(-1, *(len(self),) * (rank - points), *views, *(1,) * (points - len(views)))

@@ -165,4 +165,4 @@ class Schlick(Fresnel):
     def terms(self, layout: Layout, cos: Tensor) -> Channels:
         grazing = _fifth_power(numerics.positive(1.0 - cos))  # once for all channels; cos may exceed 1 by rounding
         rest = 1.0 - grazing
-        return each(lambda f0: f0 * rest + grazing, layout.colour(self.f0))
+        return each(lambda f0: torch.addcmul(grazing, f0, rest), layout.colour(self.f0))
