@@ -43,6 +43,7 @@ from .lobe import Draw, Lobe
 from .phong import fresnel_kink
 from .shadowing import SHADOWING, TEXTBOOK
 
+Length = Callable[[Tensor, Tensor], Tensor]  # the Smith length, of a cosine and the square of the projected roughness
 DISTRIBUTIONS: dict[str, type[Distribution]] = {"ggx": GGX, "beckmann": Beckmann, "blinn": Blinn}
 
 
@@ -102,7 +103,7 @@ class RoughConductor(Bsdf):
         """That of the normals that the viewer sees, over the Jacobian of the mirror direction about them, 4 wo.h."""
         by = self.normals.drawn_as()
         d = by.density(self._facet(g), self._rough(g.viewer)) * numerics.step(vector.dot(g.n, g.half))
-        length = self._length(by.smith_length, g.viewer, g.wo, g.cos_o)
+        length = self._length_o(by.smith_length, g.viewer)
         return 0.5 * d * numerics.reciprocal_or_zero(g.cos_o + length, numerics.negligible(d.dtype))
 
     def draw(self, viewer: Viewer, u: Vec) -> Draw:
@@ -146,18 +147,25 @@ class RoughConductor(Bsdf):
     def _facet(self, g: Geometry) -> Facet:
         rough = self._rough(g.viewer)
         if not rough.isotropic:
-            return Facet.local(g.viewer.to_local(g.half), rough, g.half2)
+            return Facet.local(vector.add(g.wi_local, g.viewer.local.wo), rough, g.half2)
         across = vector.cross(g.n, g.half)
         flat2 = vector.dot(across, across)
         return Facet(vector.dot(g.n, g.half), flat2, flat2 / (rough.x * rough.x), g.half2)
 
     def _shadowed(self, g: Geometry) -> Tensor:
         by = walter_length if self.smith == "walter" else self.normals.smith_length
-        length_i = lambda: self._length(by, g.viewer, g.wi, g.cos_i)  # noqa: E731
-        length_o = lambda: g.viewer.once(self.alpha, lambda: self._length(by, g.viewer, g.wo, g.cos_o), self.smith)  # noqa: E731
-        return SHADOWING[self.shadowing](g, length_i, length_o)
+        return SHADOWING[self.shadowing](g, lambda: self._length_i(by, g), lambda: self._length_o(by, g.viewer))
 
-    def _length(self, by: Callable[[Tensor, Tensor], Tensor], viewer: Viewer, w: Vec, cos: Tensor) -> Tensor:
-        """The Smith length of a direction, below the horizon that of its image above."""
-        rough = self._rough(viewer)
-        return by(cos.abs(), rough.projected2(cos, None if rough.isotropic else viewer.to_local(w)))
+    def _length_i(self, by: Length, g: Geometry) -> Tensor:
+        """The Smith length of wi; below the horizon that of its image above."""
+        rough = self._rough(g.viewer)
+        return by(g.cos_i.abs(), rough.projected2(g.cos_i, None if rough.isotropic else g.wi_local))
+
+    def _length_o(self, by: Length, viewer: Viewer) -> Tensor:
+        """Of wo, once for a viewer."""
+
+        def compute() -> Tensor:
+            rough = self._rough(viewer)
+            return by(viewer.cos_o.abs(), rough.projected2(viewer.cos_o, None if rough.isotropic else viewer.local.wo))
+
+        return viewer.once(self.alpha, compute, by.__qualname__)
