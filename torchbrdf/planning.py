@@ -6,7 +6,7 @@ point lights) is left out, and its parameters get gradient 0.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from .bsdf.base import Bsdf
 from .bsdf.lobe import Lobe
-from .effects import check, doubts, rows
+from .effects import check, doubts, rows, single
 from .effects.base import AUTO, Contribution, Decision, Effect, Prepared, Scene, Surface
 from .effects.direct import Direct
 from .effects.mirror import Mirror
@@ -96,6 +96,35 @@ class Plan:
         count = sum(map(len, sources))
         image = rows.apart(parts, surface, channels, count) if per_light else rows.summed(parts, surface, channels)
         return self._with_unserved(image, bsdf).to(g.position.dtype)
+
+    def compiled_with(self, make: Callable[[Any], Any]) -> Callable[..., Tensor]:
+        """What ``tb.compile`` gives, by a compiler ``make``: a graph for one light, called again for each of several."""
+        graph = make(self)
+
+        def compiled(
+            g: GBuffer,
+            bsdf: Bsdf,
+            lights: Lights,
+            prepared: Prepared | Tensor | None = None,
+            *,
+            mesh: Mesh | None = None,
+            visibility: Tensor | None = None,
+            per_light: bool = False,
+        ) -> Tensor:
+            sources = check.as_list(lights)
+            if not isinstance(prepared, Prepared):
+                prepared = self.prepare(g, sources, mesh, visibility if prepared is None else prepared)
+            if not self.takes_apart(sources):
+                return graph(g, bsdf, lights, prepared, per_light=per_light)
+            together = single.apart if per_light else single.summed
+            return together(lambda one, its: graph(g, bsdf, one, its, per_light=per_light), sources, prepared)
+
+        return compiled
+
+    def takes_apart(self, lights: Sequence[Light]) -> bool:
+        """Whether a compiled graph is called for one light after the other: several point or directional lights, and no effect of a user's own."""
+        own = [type(e) for e in EFFECTS]
+        return not torch.compiler.is_compiling() and single.several(lights) and all(type(e) in own for e in self.effects)
 
     def _with_unserved(self, image: Tensor, bsdf: Bsdf) -> Tensor:
         """The same image, with gradient 0 by parameters of lobes that no effect serves: DistributedDataParallel asks for every gradient."""
