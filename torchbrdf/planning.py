@@ -8,6 +8,7 @@ point lights) is left out, and its parameters get gradient 0.
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -112,19 +113,22 @@ class Plan:
             per_light: bool = False,
         ) -> Tensor:
             sources = check.as_list(lights)
-            if not isinstance(prepared, Prepared):
-                prepared = self.prepare(g, sources, mesh, visibility if prepared is None else prepared)
-            if not self.takes_apart(sources):
-                return graph(g, bsdf, lights, prepared, per_light=per_light)
-            together = single.apart if per_light else single.summed
-            return together(lambda one, its: graph(g, bsdf, one, its, per_light=per_light), sources, prepared)
+            ready = self.ready(g, sources, prepared, mesh, visibility)  # outside of the graph, for all lights at once
+            render = partial(graph, g, bsdf, per_light=per_light)
+            return single.one_by_one(render, sources, ready, per_light) if self.takes_apart() else render(sources, ready)
 
         return compiled
 
-    def takes_apart(self, lights: Sequence[Light]) -> bool:
-        """Whether a compiled graph is called for one light after the other: several point or directional lights, and no effect of a user's own."""
+    def ready(
+        self, g: GBuffer, lights: Lights, prepared: Prepared | Tensor | None, mesh: Mesh | None = None, visibility: Tensor | None = None
+    ) -> Prepared:
+        """What a call is given as ``prepared``, prepared if it is not yet."""
+        return prepared if isinstance(prepared, Prepared) else self.prepare(g, lights, mesh, visibility if prepared is None else prepared)
+
+    def takes_apart(self) -> bool:
+        """Whether one compiled graph serves light after light: not within a graph, nor where an effect of one's own wants them all."""
         own = [type(e) for e in EFFECTS]
-        return not torch.compiler.is_compiling() and single.several(lights) and all(type(e) in own for e in self.effects)
+        return not torch.compiler.is_compiling() and all(type(e) in own for e in self.effects)
 
     def _with_unserved(self, image: Tensor, bsdf: Bsdf) -> Tensor:
         """The same image, with gradient 0 by parameters of lobes that no effect serves: DistributedDataParallel asks for every gradient."""

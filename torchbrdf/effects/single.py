@@ -10,19 +10,14 @@ import torch
 from torch import Tensor
 
 from .. import numerics
-from ..light.base import DeltaLight, Light, LightKind
+from ..light.base import DeltaLight, Light
 from .base import Prepared
 from .shadow import Visibility
 
 Render = Callable[[list[Light], Prepared], Tensor]  # the image of some lights, or that of each of their rows
 
 
-def several(lights: Sequence[Light]) -> bool:
-    """Whether there is anything to take apart."""
-    return sum(len(light) for light in lights if light.kind is LightKind.DELTA) > 1
-
-
-def one_by_one(lights: Sequence[Light], prepared: Prepared) -> Iterator[tuple[list[Light], Prepared]]:
+def parts(lights: Sequence[Light], prepared: Prepared) -> Iterator[tuple[list[Light], Prepared]]:
     """Each point and directional light with what was prepared for it, each other light by itself; in the order of their rows."""
     shadow, row = prepared.of("shadow"), 0
     for light in lights:
@@ -36,16 +31,15 @@ def one_by_one(lights: Sequence[Light], prepared: Prepared) -> Iterator[tuple[li
             row += 1
 
 
-def summed(render: Render, lights: Sequence[Light], prepared: Prepared) -> Tensor:
-    """The image of all lights; half types are added up in the dtype that formulas work in."""
-    images = (render(*part) for part in one_by_one(lights, prepared))
+def one_by_one(render: Render, lights: Sequence[Light], prepared: Prepared, per_light: bool) -> Tensor:
+    """The image of all lights, or with ``per_light`` that of each row, ``[L, ..., C]``; planar."""
+    images = (render(*part) for part in parts(lights, prepared))  # made when it is their turn
+    if per_light:
+        planes = [rows.movedim(-1, 1) for rows in images]
+        count = max(p.shape[1] for p in planes)  # a light of one channel under a material of one gives one
+        return torch.cat([p.expand(-1, count, *p.shape[2:]) for p in planes]).movedim(1, -1)
     total = next(images)
     dtype, working = total.dtype, numerics.working_dtype(total.dtype)
     for image in images:
         total = total.to(working) + image
     return total.to(dtype)
-
-
-def apart(render: Render, lights: Sequence[Light], prepared: Prepared) -> Tensor:
-    """The image of each row, ``[L, ..., C]``, each in planar memory."""
-    return torch.cat([render(*part).movedim(-1, 1) for part in one_by_one(lights, prepared)]).movedim(1, -1)

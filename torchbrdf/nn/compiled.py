@@ -1,6 +1,7 @@
 """What ``tb.compile`` makes of a shader: one graph for one light, called again for each of many."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -50,11 +51,10 @@ class CompiledShader(nn.Module):
         if torch.compiler.is_compiling():
             return shader(g, lights, prepared, per_light, visibility)
         sources = check.as_list(lights)
-        ready = prepared if isinstance(prepared, Prepared) else shader.plan.prepare(g, sources, None, visibility if prepared is None else prepared)
-        if not shader.plan.takes_apart(sources):
-            return whole(g, lights, ready, per_light)
-        together = single.apart if per_light else single.summed
-        if all(type(m) in CHEAP for m in shader.material.modules()):
-            return together(lambda one, its: whole(g, one, its, per_light), sources, ready)
-        bsdf = self._graphs["material"](g)
-        return together(lambda one, its: self._graphs["plan"](g, bsdf, one, its, per_light=per_light), sources, ready)
+        ready = shader.plan.ready(g, sources, prepared, visibility=visibility)
+        render = partial(whole, g, per_light=per_light)
+        if not shader.plan.takes_apart():
+            return render(sources, ready)
+        if sum(map(len, sources)) > 1 and not all(type(m) in CHEAP for m in shader.material.modules()):
+            render = partial(self._graphs["plan"], g, self._graphs["material"](g), per_light=per_light)
+        return single.one_by_one(render, sources, ready, per_light)
