@@ -28,14 +28,27 @@ def numbers(count: int) -> tuple[list[list[float]], list[list[float]]]:
     return positions, [[20 / count, 18 / count, 16 / count]] * count
 
 
-def shaded(s: dict[str, Tensor], light: tb.PointLight) -> Tensor:
-    return tb.shade(gbuffer(s), material(s), light)
+def image(render: Callable[..., Tensor], s: dict[str, Tensor], light: tb.PointLight) -> Tensor:
+    return render(gbuffer(s), material(s), light)
 
 
-def gradients(fn: object, s: dict[str, Tensor], light: tb.PointLight) -> tuple[Tensor, ...]:
+def gradients(render: Callable[..., Tensor], s: dict[str, Tensor], light: tb.PointLight) -> tuple[Tensor, ...]:
     leaves = {k: v.detach().requires_grad_(k in LEARNED) for k, v in s.items()}
     wanted = [*(leaves[k] for k in LEARNED), *(t for _, t in light.named_tensors() if t.requires_grad)]
-    return torch.autograd.grad(fn(leaves, light).sum(), wanted)  # type: ignore[operator]
+    return torch.autograd.grad(image(render, leaves, light).sum(), wanted)
+
+
+def kept(render: Callable[..., Tensor], s: dict[str, Tensor], light: tb.PointLight) -> float:
+    """Bytes per pixel that forward keeps for backward, the G-buffer and the material among them; each memory counts once."""
+    sizes = {}
+
+    def pack(t: Tensor) -> Tensor:
+        sizes[t.untyped_storage().data_ptr()] = t.untyped_storage().nbytes()
+        return t
+
+    with torch.autograd.graph.saved_tensors_hooks(pack, lambda t: t):
+        image(render, {k: v.detach().requires_grad_(k in LEARNED) for k, v in s.items()}, light)
+    return sum(sizes.values()) / s["mask"].numel()
 
 
 def lights(count: int) -> dict[str, tb.PointLight]:
@@ -50,28 +63,33 @@ def first_call(run: Callable[[], object]) -> float:
     return time.perf_counter() - began
 
 
-def row(count: int, times: Times, seconds: dict[tuple[str, str], float]) -> list[str]:
+def row(count: int, times: Times, first: dict[tuple[str, str], float], memory: dict[tuple[str, str], float]) -> list[str]:
     each = {kind: [t / count for t in times[kind, str(count)]] for kind in KINDS}
-    beside = {kind: f"{ratio(times[kind, '1'], each[kind]):.2f}" for kind in KINDS}
-    cells = [cell for kind in KINDS for cell in (milliseconds(each[kind]), beside[kind], f"{seconds[kind, str(count)]:.0f}")]
+    cells = []
+    for kind in KINDS:
+        beside, k = ratio(times[kind, "1"], each[kind]), (kind, str(count))
+        cells += [milliseconds(each[kind]), f"{beside:.2f}", f"{first[k]:.1f}", f"{memory[k]:.0f}"]
     return [str(count), *cells, f"{ratio(each['numbers'], each['learned']):.2f}"]
 
 
 def main() -> None:
     args = options(__doc__, points=262_144, rounds=7).parse_args()
     torch.set_num_threads(args.threads)
-    torch._dynamo.config.automatic_dynamic_shapes = False  # each count as it is where it is the only one
     side = round(math.sqrt(args.points))
     s = {k: tb.planar(v) for k, v in scene(side, torch.float32).items()}
-    every = [(count, kind, light) for count in COUNTS for kind, light in lights(count).items()]
-    runs = {(kind, str(count)): partial(gradients, tb.compile(shaded), s, light) for count, kind, light in every}
-    seconds = {k: first_call(run) for k, run in runs.items()}
+    every = {(kind, str(count)): light for count in COUNTS for kind, light in lights(count).items()}
+    render = tb.compile(tb.plan(gbuffer(s), material(s), every["numbers", "1"]))
+    runs = {k: partial(gradients, render, s, light) for k, light in every.items()}
+    first = {k: first_call(run) for k, run in runs.items()}
+    memory = {k: kept(render, s, light) for k, light in every.items()}
     times = race(runs, args.rounds, "lights")
-    head = ["lights", *(f"{kind}: {cell}" for kind in KINDS for cell in ("ms a light", "of one light's", "first call, s"))]
-    rows = [row(count, times, seconds) for count in COUNTS]
-    what = f"{side} × {side} pixels, forward + backward, compiled, {args.rounds} rounds"
+    columns = ("ms a light", "of one light's", "first call, s", "bytes kept per pixel")
+    head = ["lights", *(f"{kind}: {cell}" for kind in KINDS for cell in columns), "learned / numbers"]
+    rows = [row(count, times, first, memory) for count in COUNTS]
+    graphs = torch._dynamo.utils.counters["stats"]["unique_graphs"]
+    what = f"{side} × {side} pixels, forward + backward, one compiled plan ({graphs} compilations), {args.rounds} rounds"
     intro = f"{what}, {machine(args.threads)}. Medians, quartiles in brackets."
-    publish("lights", f"{intro}\n\n{table([*head, 'learned / numbers'], rows)}", args.write)
+    publish("lights", f"{intro}\n\n{table(head, rows)}", args.write)
 
 
 if __name__ == "__main__":

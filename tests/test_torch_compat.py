@@ -123,7 +123,7 @@ def test_without_a_budget_the_backend_is_inductor(without, monkeypatch):
 def test_the_backend_saves_nothing_and_leaves_others_their_budget(monkeypatch):
     from torch._functorch import config
 
-    inner = types.SimpleNamespace(compile_fx=lambda graph, inputs: config.activation_memory_budget)
+    inner = types.SimpleNamespace(compile_fx=lambda graph, inputs, **_: config.activation_memory_budget)
     monkeypatch.setitem(sys.modules, "torch._inductor.compile_fx", inner)  # importing the real one takes seconds
     torch_compat.recomputing_backend.cache_clear()
     backend, before = torch_compat.recomputing_backend(True), config.activation_memory_budget
@@ -132,11 +132,22 @@ def test_the_backend_saves_nothing_and_leaves_others_their_budget(monkeypatch):
     assert config.activation_memory_budget == before != 0.0
 
 
+def test_settings_of_long_formulas_are_for_cpus_and_those_that_torch_has(without, monkeypatch):
+    from torch._inductor import config
+
+    assert torch_compat._settings([torch.rand(2), 3]) == torch_compat.LONG_FORMULAS
+    assert torch_compat._settings([torch.rand(2), torch.rand(2, device="meta")]) == {}
+    monkeypatch.setitem(torch_compat.LONG_FORMULAS, "a_setting_that_is_gone", 1)
+    assert all(hasattr(config, name) for name in torch_compat._settings([]))
+    without("torch._inductor", "config")
+    assert torch_compat._settings([]) == {}
+
+
 def test_graphs_that_end_in_a_loss_are_not_computed_twice(monkeypatch):
     from torch._functorch import config
 
     budgets = []
-    inner = types.SimpleNamespace(compile_fx=lambda graph, inputs: budgets.append(config.activation_memory_budget) or graph.forward)
+    inner = types.SimpleNamespace(compile_fx=lambda graph, inputs, **_: budgets.append(config.activation_memory_budget) or graph.forward)
     monkeypatch.setitem(sys.modules, "torch._inductor.compile_fx", inner)
     torch_compat.recomputing_backend.cache_clear()
     pixels, always = torch_compat.recomputing_backend(), torch_compat.recomputing_backend(True)

@@ -6,8 +6,9 @@ point lights) is left out, and its parameters get gradient 0.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from .bsdf.base import Bsdf
 from .bsdf.lobe import Lobe
-from .effects import check, doubts, rows
+from .effects import check, doubts, rows, single
 from .effects.base import AUTO, Contribution, Decision, Effect, Prepared, Scene, Surface
 from .effects.direct import Direct
 from .effects.mirror import Mirror
@@ -98,6 +99,38 @@ class Plan:
         count = sum(map(len, sources))
         image = rows.apart(parts, surface, channels, count) if per_light else rows.summed(parts, surface, channels)
         return self._with_unserved(image, bsdf).to(g.position.dtype)
+
+    def compiled_with(self, make: Callable[[Any], Any]) -> Callable[..., Tensor]:
+        """What ``tb.compile`` gives, by a compiler ``make``: a graph for one light, called again for each of several."""
+        graph = make(self)
+
+        def compiled(
+            g: GBuffer,
+            bsdf: Bsdf,
+            lights: Lights,
+            prepared: Prepared | Tensor | None = None,
+            *,
+            mesh: Mesh | None = None,
+            visibility: Tensor | None = None,
+            per_light: bool = False,
+        ) -> Tensor:
+            sources = check.as_list(lights)
+            ready = self.ready(g, sources, prepared, mesh, visibility)  # outside of the graph, for all lights at once
+            render = partial(graph, g, bsdf, per_light=per_light)
+            return single.one_by_one(render, sources, ready, per_light) if self.takes_apart() else render(sources, ready)
+
+        return compiled
+
+    def ready(
+        self, g: GBuffer, lights: Lights, prepared: Prepared | Tensor | None, mesh: Mesh | None = None, visibility: Tensor | None = None
+    ) -> Prepared:
+        """What a call is given as ``prepared``, prepared if it is not yet."""
+        return prepared if isinstance(prepared, Prepared) else self.prepare(g, lights, mesh, visibility if prepared is None else prepared)
+
+    def takes_apart(self) -> bool:
+        """Whether one compiled graph serves light after light: not within a graph, nor where an effect of one's own wants them all."""
+        own = [type(e) for e in EFFECTS]
+        return not torch.compiler.is_compiling() and all(type(e) in own for e in self.effects)
 
     def _with_unserved(self, image: Tensor, bsdf: Bsdf) -> Tensor:
         """The same image, with gradient 0 by parameters of lobes that no effect serves: DistributedDataParallel asks for every gradient."""

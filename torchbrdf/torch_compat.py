@@ -46,6 +46,12 @@ def register_node(
         register(cls, flatten, unflatten)
 
 
+# From how many operations on inductor keeps a value under a name of its own, and how many names one loop may hold. (By its defaults, 30 and
+# 64, it repeats most of a long formula for each of its many gradients.) Measured on CPUs, one light, forward and backward: compiled in a
+# third of the processor time, and as fast. Not so a loss and its gradients as one graph, which would be slower by a quarter.
+LONG_FORMULAS = {"realize_opcount_threshold": 10, "max_fusion_size": 256}
+
+
 @functools.cache  # torch compiles again for a backend that is another object
 def recomputing_backend(always: bool = False) -> Any:
     """The inductor backend of ``torch.compile`` with a budget of 0 for what the forward pass saves; backward computes it again.
@@ -66,9 +72,20 @@ def recomputing_backend(always: bool = False) -> Any:
         if not always and _gives_a_number(graph):
             return compile_fx(graph, inputs)
         with config.patch(activation_memory_budget=0.0):
-            return compile_fx(graph, inputs)
+            return compile_fx(graph, inputs, config_patches=_settings(inputs))
 
     return recomputing
+
+
+def _settings(inputs: Any) -> dict[str, Any]:
+    """Settings of inductor for a graph of these inputs; as it is where one is not on a CPU. Without the private names: as it is."""
+    try:
+        from torch._inductor import config
+    except ABSENT:
+        return {}
+    if any(isinstance(x, torch.Tensor) and x.device.type != "cpu" for x in inputs):
+        return {}
+    return {name: value for name, value in LONG_FORMULAS.items() if hasattr(config, name)}
 
 
 def _gives_a_number(graph: torch.fx.GraphModule) -> bool:

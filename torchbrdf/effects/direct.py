@@ -5,8 +5,9 @@ r"""Light straight from point and directional lights to the eye, by way of the l
 with E_l the irradiance on a plane facing light l and V_l its visibility. Exact for such lights: the integral of the
 reflection equation is a sum. Strict horizon: 0 outside the model's domain.
 
-Lights are an axis: a group of them is computed at once. Eagerly a group has as many as keep the caches warm; a compiler gets all of
-them in one group, which it turns into a loop inside its kernels, so that compiling takes as long for 64 lights as for one.
+Lights are an axis: a group of them is computed at once. Eagerly a group has as many as keep the caches warm. A compiled plan or shader
+takes one light after the other (:mod:`~torchbrdf.effects.single`); a function of one's own, compiled, has all of them in one group, in
+loops of its kernels, so that compiling takes as long for 64 lights as for one.
 """
 
 from collections.abc import Sequence

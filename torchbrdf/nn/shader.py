@@ -1,11 +1,15 @@
 """A shader: a material and a plan, from G-buffer to radiance in one module."""
 
+from collections.abc import Callable
+from typing import Any
+
 from torch import Tensor, nn
 
 from .. import arguments
 from ..effects.base import Prepared
 from ..planning import Lights, Plan
 from ..scene.gbuffer import GBuffer
+from .compiled import CompiledShader
 
 
 class Shader(nn.Module):
@@ -33,3 +37,7 @@ class Shader(nn.Module):
     ) -> Tensor:
         """Radiance ``[..., H, W, C]`` (``per_light=True``: ``[L, ..., H, W, C]``)."""
         return self.plan(g, self.material(g), lights, prepared, visibility=visibility, per_light=per_light)
+
+    def compiled_with(self, make: Callable[[Any], Any]) -> nn.Module:
+        """What ``tb.compile`` gives, by a compiler ``make``."""
+        return CompiledShader(self, make)
