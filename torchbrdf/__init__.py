@@ -7,7 +7,7 @@ when it is first used, so that ``import torchbrdf`` costs little more than ``imp
 import importlib
 from typing import Any
 
-from .registry import BSDFS, FRESNEL_TERMS
+from .registry import BSDFS, DISTRIBUTIONS, FRESNEL_TERMS
 from .synonyms import UnknownName
 
 __version__ = "0.1.0"
@@ -26,6 +26,7 @@ _HOME = {
     "stacking": ("stack",),
     "io.pictures": ("read_image", "save_image"),
     "optics.fresnel": ("Fresnel",),
+    "optics.distribution": ("Distribution", "alpha_from_exponent", "alpha_from_roughness", "exponent_from_alpha", "roughness_from_alpha"),
     "bsdf.base": ("Bsdf",),
     "bsdf.lobe": ("BSDFSample", "Lobe"),
     "light.base": ("Light", "LightKind", "LightSample"),
@@ -42,7 +43,7 @@ _HOME = {
     "training": ("value_and_grad",),
 }
 _MODULES = {"fresnel": "optics.fresnel", "microfacet": "optics.microfacet", "nn": "nn", "testing": "testing"}
-_NAMES = {name: module for module, names in _HOME.items() for name in names} | BSDFS | FRESNEL_TERMS
+_NAMES = {name: module for module, names in _HOME.items() for name in names} | BSDFS | FRESNEL_TERMS | DISTRIBUTIONS
 __all__ = sorted([*_NAMES, *_MODULES])
 
 

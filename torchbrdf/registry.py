@@ -22,6 +22,11 @@ FRESNEL_TERMS = {
     "Conductor": "optics.fresnel",
     "Schlick": "optics.fresnel",
 }
+DISTRIBUTIONS = {
+    "GGX": "optics.ggx",
+    "Beckmann": "optics.beckmann",
+    "Blinn": "optics.blinn",
+}
 
 # Laws that have several methods (torchbrdf/method.py): the name of each, and the file whose LAWS hold it.
 LAWS = {

@@ -24,7 +24,7 @@ ARGUMENTS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("texcoords", "uvs", "st"), ("uv",)),
 }
 _SCALES = {"roughness", "alpha", "glossiness"}  # names of another scale than exponent
-_NO_MICROFACET = "no microfacet model is in this version; its parts are tb.microfacet.ggx_d and the functions beside it"
+_COMPOSE = "not in this version; compose it: tb.Lambert(albedo) + tb.RoughConductor(alpha, tb.Schlick(f0))"
 # Public names: another public name, or words.
 NAMES: dict[str, str] = {
     **dict.fromkeys(("Pinhole", "PinholeCamera", "PerspectiveCamera", "FoVPerspectiveCameras", "Sensor"), "Camera"),
@@ -37,8 +37,9 @@ NAMES: dict[str, str] = {
     **dict.fromkeys(("imread", "load_image"), "read_image"),
     **dict.fromkeys(("imwrite", "write_image"), "save_image"),
     **dict.fromkeys(("Meshes", "TriangleMesh"), "Mesh"),
-    **dict.fromkeys(("GGX", "Ggx", "Beckmann", "Microfacet", "CookTorrance", "RoughConductor", "RoughDielectric"), _NO_MICROFACET),
-    **dict.fromkeys(("Disney", "Principled", "PrincipledBSDF"), _NO_MICROFACET),
+    **dict.fromkeys(("Ggx", "TrowbridgeReitz"), "GGX"),
+    **dict.fromkeys(("Microfacet", "MicrofacetBRDF", "TorranceSparrow"), "RoughConductor"),
+    **dict.fromkeys(("Disney", "Principled", "PrincipledBSDF"), _COMPOSE),
 }
 
 

@@ -11,6 +11,7 @@ outside the domain, and 0 where both cosines are below the root of the smallest 
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -55,5 +56,5 @@ TEXTBOOK = {
 }
 
 
-def _least(m: object, a: object, b: object) -> object:
-    return m.where(m.positive(b - a), a, b)  # type: ignore[attr-defined]
+def _least(m: Any, a: Any, b: Any) -> Any:
+    return m.where(m.positive(b - a), a, b)

@@ -63,7 +63,7 @@ class Beckmann(Distribution):
     @staticmethod
     def smith_length(cos: Tensor, projected2: Tensor) -> Tensor:
         a = numerics.safe_sqrt(projected2)
-        c, a, w = beckmann_tail(cos, a)
+        _, a, w = beckmann_tail(cos, a)
         return cos + a * w
 
     @staticmethod

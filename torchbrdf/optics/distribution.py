@@ -136,7 +136,7 @@ class Distribution(Value):
 
     def sample(self, w: Tensor, u: Tensor) -> Tensor:
         """Unit normals ``[..., 3]`` of those that unit ``w [..., 3]`` sees, from uniform ``u [..., 2]`` in [0, 1)."""
-        v, layout, rough = self._taken_apart(w, "w")
+        v, _, rough = self._taken_apart(w, "w")
         x, y = arguments.floats(u, "u", 2).to(v.z.dtype).unbind(-1)
         return vector.stack(self.visible_normal(v, rough, Vec(x, y, y))).to(w.dtype)
 

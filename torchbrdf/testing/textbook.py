@@ -112,9 +112,10 @@ def textbook(subject: Any, rng: torch.Generator, thorough: bool = False) -> Outc
     probe = next(iter(probes(subject, rng, 4096 if thorough else 256)))
     found = probe.call(subject, **probe.inputs)
     plain = [_channel(subject, k, *probe.inputs.values()) for k in range(found.shape[-1])]
-    if any(channel is None for channel in plain):
+    said = [channel for channel in plain if channel is not None]
+    if len(said) < len(plain):
         return Outcome.absent("textbook", "the model says none for this choice")
-    worst, k = (found - torch.stack(plain, -1)).abs().nan_to_num(nan=torch.inf).amax(-1).max(0)
+    worst, k = (found - torch.stack(said, -1)).abs().nan_to_num(nan=torch.inf).amax(-1).max(0)
     largest = float(found.abs().max())
     return Outcome(
         "textbook", float(worst) <= ROUNDINGS * torch.finfo(found.dtype).eps * largest, float(worst), _where(probe.inputs, int(k))

@@ -37,7 +37,7 @@ def derived() -> Iterator[Case]:
 def says(cls: type[Bsdf], variant: dict[str, Any]) -> bool:
     """Whether the textbook formula covers a choice."""
     point = Point(M, *np.eye(3, dtype=object)[[2, 2, 2]][:, :, None])
-    one = {name: 1 for name in cls._params}
+    one = dict.fromkeys(cls._params, 1)
     slot = {"fresnel": lambda cos: 1} if "fresnel" in cls._fields else {}
     return cls.textbook(M, point, **{**one, **slot, **choices(cls), **variant}) is not NotImplemented
 
