@@ -12,6 +12,7 @@ BSDFS = {
     "Phong": "bsdf.phong",
     "BlinnPhong": "bsdf.blinn_phong",
     "Mirror": "bsdf.mirror",
+    "SmoothDielectric": "bsdf.smooth_dielectric",
     "Sum": "bsdf.combine",
     "Scaled": "bsdf.combine",
     "TwoSided": "bsdf.two_sided",
