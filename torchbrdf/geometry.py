@@ -115,7 +115,7 @@ class Viewer:
         self.wo, self.is_local, self.tangent, self.handedness = wo, n is None, tangent, handedness
         self.n = local_normal(wo) if n is None else n
         self._memo: dict[str, Any] = {}
-        self._held: list[tuple[Any, Any]] = []
+        self._held: list[tuple[Any, str, Any]] = []
 
     def colour(self, parameter: Tensor) -> Channels:
         """A parameter ``[..., C]`` as channels."""
@@ -125,13 +125,13 @@ class Viewer:
         """A parameter ``[..., 1]`` as a number."""
         return self.layout.scalar(parameter)
 
-    def once(self, owner: Any, compute: Callable[[], Any]) -> Any:
-        """What ``owner``, a model, computes for this viewer: computed when first asked for and never twice."""
-        for holder, found in self._held:
-            if holder is owner:
+    def once(self, owner: Any, compute: Callable[[], Any], name: str = "") -> Any:
+        """What ``owner``, a model, computes for this viewer: computed when first asked for and never twice. Several by ``name``."""
+        for holder, called, found in self._held:
+            if holder is owner and called == name:
                 return found
         found = compute()
-        self._held.append((owner, found))
+        self._held.append((owner, name, found))
         return found
 
     @memo

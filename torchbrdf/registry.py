@@ -16,6 +16,7 @@ BSDFS = {
     "Sum": "bsdf.combine",
     "Scaled": "bsdf.combine",
     "TwoSided": "bsdf.two_sided",
+    "Coated": "bsdf.coated",
 }
 FRESNEL_TERMS = {
     "Dielectric": "optics.fresnel",
@@ -27,6 +28,7 @@ FRESNEL_TERMS = {
 LAWS = {
     "dielectric": "optics.laws",
     "conductor": "optics.laws",
+    "dielectric_average": "optics.laws",
     "phong_lobe": "bsdf.laws",
     "blinn_lobe": "bsdf.laws",
 }

@@ -36,10 +36,10 @@ from torch import Tensor
 
 from .. import arguments
 from ..geometry import Channels, Geometry, Viewer
-from ..optics.dielectric import split
+from ..optics.dielectric import Split, split
 from ..optics.fresnel import ETA
 from ..value import SCALAR, param, value
-from ..vector import Vec
+from ..vector import Vec, scale
 from .base import Bsdf, nearest
 from .lobe import Delta, Draw, Lobe
 
@@ -114,11 +114,8 @@ class SmoothDielectric(Bsdf):
     def _crossing(self, viewer: Viewer) -> Crossing:
         cos, eta = viewer.cos_o * viewer.side, self._eta_of(viewer)
         at = split(cos, eta)
-        passes = at.g > 0
-        inverse = 1.0 / eta
-        along = viewer.side * (cos - at.g)
-        wi = (torch.where(passes, (along * n - w) * inverse, 0.0) for w, n in zip(viewer.wo, viewer.n, strict=True))
-        return Crossing(at.reflected, at.transmitted, eta, Vec(*wi), -viewer.side * at.g * inverse)
+        back = bent(viewer.wo, viewer.n, viewer.side * (at.g - cos), at, eta)
+        return Crossing(at.reflected, at.transmitted, eta, scale(back, -1.0), -viewer.side * at.g / eta)
 
     def _eta_of(self, viewer: Viewer) -> Tensor:
         """n(other side) / n(side of the viewer)."""
@@ -137,11 +134,17 @@ class SmoothDielectric(Bsdf):
         return nearest(super().kink_distance(g), (cos * cos - (1.0 - eta) * (1.0 + eta)).abs())
 
 
+def bent(w: Vec, n: Vec, along: Tensor, at: Split, eta: Tensor) -> Vec:
+    """The refracted direction of ``w``, on the side of ``w``: ``w`` plus ``along`` times n, over eta. (0, 0, 0) under total reflection."""
+    passes, inverse = at.g > 0, 1.0 / eta
+    return Vec(*(torch.where(passes, (a + along * b) * inverse, 0.0) for a, b in zip(w, n, strict=True)))
+
+
 def one_index(name: str, eta: Any) -> None:
     """An index a channel is what the Fresnel terms take, and no interface that refracts."""
-    size = torch.as_tensor(eta).shape if isinstance(eta, (list, tuple)) else getattr(eta, "shape", ())
-    if len(size) and size[-1] != 1:
+    size = list(torch.as_tensor(eta).shape if isinstance(eta, (list, tuple)) else getattr(eta, "shape", ()))
+    if size and size[-1] != 1:
         raise ValueError(
-            f"{name}: expected shape [..., 1], found {list(size)}; every channel would be refracted elsewhere, so take one model for each "
+            f"{name}: expected shape [..., 1], found {size}; every channel would be refracted elsewhere, so take one model for each "
             f"index, as in [tb.SmoothDielectric(n) for n in eta] (or x[..., None], where this is one number a point)"
         )

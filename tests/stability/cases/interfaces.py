@@ -1,16 +1,18 @@
-"""Models of smooth interfaces: the delta pair of a dielectric."""
+"""Smooth interfaces: the delta pair of a dielectric, its reflectance of diffuse light, and a coat."""
 
+import inspect
 from typing import Any
 
 import numpy as np
 import torch
 
 import torchbrdf as tb
+from torchbrdf.optics import dielectric_average
 
 from ..case import Case, Columns, Draw
-from ..dual import inverse, plain, sqrt, where
+from ..dual import inverse, pi, plain, sqrt, where
 from . import fresnel, points
-from .derived import column
+from .derived import M, case, column
 from .vectors import dot, stacked, unit
 
 ETA = tb.SmoothDielectric._params["eta"]
@@ -95,8 +97,50 @@ def pair(mode: str, truth: Any, **claims: Any) -> Case:
         error="backward",
         vectors=True,
         outside={"at the horizon, up to rounding": near_own_horizon},
+        outside_twice={
+            "matched media and a tiny normal": lambda x: (
+                (x["eta"] == 1) & (np.linalg.norm(stacked(x, "n"), axis=1) < x.working.smallest_normal**0.5)
+            )
+        },
         **claims,
     )
 
 
-CASES = (pair("radiance", radiance, signed=True), pair("flux", flux, at_most_one=True))
+def coated(p: Any, albedo: Any, eta: Any) -> Any:
+    """Over Lambert's surface."""
+    within = 1 - (1 - dielectric_average.textbook(M, eta)) / (eta * eta)
+    enter = [1 - fresnel.dielectric(where(p.above, c, 1), eta)[0] for c in (p.cos_i, p.cos_o)]
+    return where(p.above, enter[0] * enter[1] * albedo / (pi() * eta * eta * (1 - albedo * within)), 0)
+
+
+def average_grid(draw: Draw) -> np.ndarray:
+    """Beside 1 to the ulp, and as far as the dtype goes."""
+    most = draw.info.max**0.25
+    special = np.array([*fresnel.etas(draw), 1 / most, most, draw.info.eps, 3.0, *draw.near(3.0), *draw.near(1 / 3)])
+    beside = 1 + draw.spread(draw.points // 2, max(1e-7, draw.info.eps), 0.3) * draw.rng.choice([-1, 1], draw.points // 2)
+    return draw.rounded(np.concatenate([special, beside, draw.spread(draw.points, 0.1, 10.0)]))[:, None]
+
+
+CASES = (
+    pair("radiance", radiance, signed=True),
+    pair("flux", flux, at_most_one=True),
+    Case(
+        "fresnel.dielectric_average",
+        ("eta",),
+        lambda eta: (tb.fresnel.dielectric_average(eta),),
+        lambda eta: (dielectric_average.textbook(M, eta),),
+        average_grid,
+        lambda x: (x["eta"] > 1.2) & (x["eta"] < 2.5),
+        covers=("fresnel.dielectric_average",),
+        at_most_one=True,
+        source=inspect.getsource(dielectric_average.textbook),
+    ),
+    case(
+        "Coated, Lambert",
+        {"albedo": tb.Lambert._params["albedo"], "eta": ETA},
+        lambda a, eta: tb.Coated(tb.Lambert(a), eta),
+        coated,
+        covers=("Coated",),
+        source=inspect.getsource(dielectric_average.textbook),
+    ),
+)

@@ -1,0 +1,199 @@
+r"""A smooth clear coat over a diffuse base: varnish, glaze, plastic.
+
+.. math::
+    f = F(\theta_o) \frac{\delta(\omega_i - R(\omega_o))}{\cos\theta_i}
+    + \frac{(1 - F(\theta_i))(1 - F(\theta_o))}{\eta^2} \, \frac{f_{base}(\omega_i', \omega_o')}{1 - \rho F_{di}}
+
+=========  ================  ============================================================
+parameter  unit, range       meaning
+=========  ================  ============================================================
+base       a BSDF            what lies below: lobes of diffuse reflection alone
+eta        [..., 1] > 0      n(coat) / n(outside)
+gloss      True, False       whether the coat's own mirror reflection is part of the model
+=========  ================  ============================================================
+
+Light enters through the coat, is scattered by the base, and leaves or is thrown back to the base again and again. The base is evaluated at
+the refracted directions, those of the light that it meets; :math:`\rho` is its albedo under diffuse light, and
+:math:`F_{di} = 1 - (1 - F_{de})/\eta^2` the part of diffuse light that the coat throws back from inside, by
+:math:`F_{de} = 2\int F(\mu)\mu\,d\mu` (``tb.fresnel.dielectric_average``). Every return is taken as diffuse, which is exact for a
+Lambert base, where f is :math:`\rho/\pi` times the rest and no direction has to be refracted: the directional albedo
+:math:`F + (1 - F)\,\rho(1 - F_{di})/(1 - \rho F_{di})` is closed, and 1 at every angle and eta where rho is 1. Of another base the
+energy is approximate and not promised (``energy_bound`` is None), and rho is a quadrature of 512 pairs of directions for every material.
+
+Reciprocal where the base is. ``gloss=False`` leaves out the mirror reflection, as polarised photographs do. The colour of a coat of one
+index is that of the base. At eta = 1 it is the base itself; the slope by eta jumps there, as that of F_de does, and is that towards
+eta > 1. Not smooth at the horizon, at the critical angle (of eta < 1), and where the base is not. Source: Saunderson 1942, with F_di of
+Walsh 1926; in this form Wolff 1994.
+
+>>> import torch, torchbrdf as tb
+>>> up = torch.tensor([0.0, 0.0, 1.0])
+>>> tb.Coated(tb.Lambert([1.0, 0.5, 0.0]), 1.5).directional_albedo(up)
+tensor([1.0000, 0.3162, 0.0400])
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from .. import numerics, quadrature
+from ..geometry import Channels, Geometry, Layout, Viewer, each
+from ..optics.dielectric import Split, split
+from ..optics.dielectric_average import dielectric_average
+from ..optics.fresnel import ETA, Dielectric
+from ..value import SCALAR, param, value
+from ..vector import Vec
+from .base import Bsdf, nearest
+from .lobe import Delta, Draw, Lobe
+from .mirror import Mirror
+from .smooth_dielectric import bent, one_index
+
+SIDE = 8  # nodes of the albedo under diffuse light, of either cosine and of the azimuth between
+
+
+class Below(NamedTuple):
+    """What the coat and the base do for one viewer."""
+
+    at: Split  # of the coat, along wo
+    rho: Channels  # albedo of the base under diffuse light
+    gain: Channels  # 1 / (1 - rho F_di)
+    escape: Tensor  # 1 - F_di
+
+
+@value
+class Coated(Bsdf):
+    """A smooth coat of index ``eta`` over a diffuse ``base``."""
+
+    base: Bsdf
+    eta: Tensor = param(ETA, SCALAR, "index of refraction, coat over outside")
+    gloss: bool = True
+
+    variants = ({"gloss": True}, {"gloss": False})
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.base, Bsdf):
+            raise TypeError(f"Coated.base: expected a BSDF such as tb.Lambert(albedo), found {type(self.base).__name__}")
+        if not self.may_hold(self.base):
+            found = ", ".join(dict.fromkeys(lobe.label for lobe in self.base.lobes if lobe != Lobe.DIFFUSE_REFLECTION))
+            raise ValueError(f"Coated.base: expected lobes of diffuse reflection alone, found {found} of {type(self.base).__name__}")
+        one_index("Coated.eta", self.eta)
+        super().__post_init__()
+
+    @classmethod
+    def may_hold(cls, model: Bsdf) -> bool:
+        return all(lobe.value == Lobe.DIFFUSE_REFLECTION.value for lobe in model.lobes)
+
+    @property
+    def lobes(self) -> tuple[Lobe, ...]:  # type: ignore[override]
+        return (Lobe.DELTA_REFLECTION,) * self.gloss + self.base.lobes
+
+    @property
+    def reciprocal(self) -> bool:  # type: ignore[override]
+        return self.base.reciprocal
+
+    @property
+    def energy_bound(self) -> Tensor | None:
+        return None if self.base.lambertian is None else super().energy_bound
+
+    def select(self, wanted: Lobe) -> Bsdf | None:
+        mirror, diffuse = self.gloss and Lobe.DELTA_REFLECTION.serves(wanted), Lobe.DIFFUSE_REFLECTION.serves(wanted)
+        if diffuse:
+            return self if mirror == self.gloss else self.replace(gloss=mirror)
+        return Mirror(torch.ones_like(self.eta), Dielectric(self.eta)) if mirror else None
+
+    def formula(self, g: Geometry) -> Channels:
+        below, over = self.below(g.viewer), split(g.cos_i, g.scalar(self.eta))
+        eta = g.scalar(self.eta)
+        through = below.at.transmitted * over.transmitted / (eta * eta)
+        if self.base.lambertian is not None:
+            through = through * (1.0 / math.pi)
+            return each(lambda rho, gain: through * rho * gain, below.rho, below.gain)
+        inner = self.inner(g, over)
+        through = through * self.base.domain(inner).to(through.dtype)
+        return each(lambda f, gain: through * f * gain, self.base.formula(inner), below.gain)
+
+    def density(self, g: Geometry) -> Tensor:
+        return self.base.density(g)
+
+    def draw(self, viewer: Viewer, u: Vec) -> Draw:
+        """As the base draws for the viewer outside: for diffuse light that is near enough."""
+        drawn = self.base.draw(viewer, u)
+        return drawn._replace(lobe=drawn.lobe + int(self.gloss))
+
+    def deltas(self, viewer: Viewer) -> list[Delta]:
+        return [Delta(viewer.mirror, viewer.cos_o, (self.below(viewer).at.reflected,))] if self.gloss else []
+
+    def strength(self, viewer: Viewer) -> Tensor:
+        return viewer.layout.mean(self.diffuse_albedo(viewer))
+
+    def diffuse_albedo(self, viewer: Viewer) -> Channels:
+        """That of what the base sends back through the coat, exact for a Lambert base."""
+        below = self.below(viewer)
+        enters = below.at.transmitted * below.escape
+        return each(lambda rho, gain: enters * rho * gain, below.rho, below.gain)
+
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
+        """In closed form over a Lambert base, else by quadrature."""
+        if self.base.lambertian is None:
+            return super().albedo_at(viewer, order)
+        mirror = self.below(viewer).at.reflected if self.gloss else 0.0
+        above = (viewer.cos_o > 0).to(viewer.cos_o.dtype)
+        return tuple((mirror + a) * above for a in self.diffuse_albedo(viewer))
+
+    def kink_distance(self, g: Geometry) -> Tensor:
+        """The horizon, the critical angles of both directions, and what is not smooth about the base."""
+        eta = g.scalar(self.eta)
+        total = (1.0 - eta) * (1.0 + eta)
+        critical = [(cos * cos - total).abs() for cos in (g.cos_i, g.cos_o)]
+        seen = g if self.base.lambertian is not None else self.inner(g, split(g.cos_i, eta))
+        return nearest(super().kink_distance(g), *critical, self.base.kink_distance(seen))
+
+    def below(self, viewer: Viewer) -> Below:
+        """What depends on the viewer and the material; computed once for a viewer."""
+        return viewer.once(self, lambda: self._below(viewer))
+
+    def _below(self, viewer: Viewer) -> Below:
+        eta, flat = viewer.scalar(self.eta), self.base.lambertian
+        escape = (1.0 - dielectric_average(eta)) / (eta * eta)
+        rho = mean_albedo(self.base, viewer.layout) if flat is None else viewer.colour(flat)
+        # 1 - rho F_di without the difference of what may be equal
+        gain = tuple(1.0 / ((1.0 - r) + r * escape) for r in rho)
+        return Below(split(viewer.cos_o, eta), rho, gain, escape)
+
+    def inner(self, g: Geometry, over: Split) -> Geometry:
+        """The pair of directions below the coat: those of the light that the base meets, pointing up."""
+        v, eta = g.viewer, g.scalar(self.eta)
+        wo, wi = (
+            bent(w, v.n, at.g - numerics.unit_interval(c), at, eta)
+            for w, c, at in ((v.wo, v.cos_o, self.below(v).at), (g.wi, g.cos_i, over))
+        )
+        viewer = Viewer(wo, None if v.is_local else v.n, v.tangent, v.handedness, v.layout)
+        viewer._memo["axes"] = v.axes
+        return Geometry(viewer, wi)
+
+
+def _pairs() -> Tensor:
+    """``[SIDE^3, 7]``: wi and wo, evenly spread over the azimuths, and the weights of ``f`` in its albedo under diffuse light."""
+    mu, weight = quadrature.gauss_legendre(SIDE)
+    i, o, k = (index.flatten() for index in torch.meshgrid(*[torch.arange(SIDE)] * 3, indexing="ij"))
+    turn = 2.0 * math.pi * quadrature.midpoints(SIDE)[k]
+    around = math.pi * (3.0 - 5.0**0.5) * torch.arange(len(i))  # of both, for bases that are not isotropic
+    ends = [
+        torch.stack([torch.sqrt(1.0 - c * c) * torch.cos(a), torch.sqrt(1.0 - c * c) * torch.sin(a), c], -1)
+        for c, a in ((mu[i], around), (mu[o], around + turn))
+    ]
+    return torch.cat([*ends, (4.0 * math.pi / SIDE * mu[i] * weight[i] * mu[o] * weight[o]).unsqueeze(-1)], -1)
+
+
+PAIRS = _pairs()
+
+
+def mean_albedo(base: Bsdf, layout: Layout) -> Channels:
+    """The albedo of ``base`` under diffuse light, ``f cos_i cos_o / pi`` over both hemispheres; to about 1e-3 where f has kinks."""
+    axes = len(base.batch_shape) + int(layout.wide)
+    table = PAIRS.to(layout.device, layout.dtype).unflatten(0, (-1, *(1,) * axes))
+    x = table.unbind(-1)
+    g = Geometry(Viewer(Vec(*x[3:6]), layout=layout), Vec(*x[:3]))
+    weight = x[6] * base.domain(g).to(layout.dtype)
+    return tuple((f * weight).sum(0) for f in base.formula(g))
