@@ -86,17 +86,21 @@ def split(cos_i: Tensor, eta: Tensor) -> Split:
     partial = numerics.step(g2 - least)
     g = torch.sqrt(functional.threshold(g2, least, 1.0))
     reflected = _reflected(c, n, g, partial)
+    little = (reflected > 0.5) & (partial > 0.0)  # what is transmitted, of which a difference would have few digits left
+    direct = _transmitted(c, n, g, little)
     matched = (n == 1.0) & (g2 <= least)  # and grazing
-    return Split(reflected, _transmitted(c, n, g, reflected), torch.where(matched, c, g * partial))
+    return Split(
+        torch.where(little, 1.0 - direct, reflected),
+        torch.where(little, direct, 1.0 - reflected),
+        torch.where(matched, c, g * partial),
+    )
 
 
-def _transmitted(c: Tensor, n: Tensor, g: Tensor, reflected: Tensor) -> Tensor:
-    """``1 - F``; where F is large, by ``2 c g (1/A^2 + eta^2/B^2)`` with B = A (c g + s^2): the difference would have few digits left."""
-    little = (reflected > 0.5) & (reflected < 1.0)
-    both, along = torch.where(little, c + g, 1.0), c * g
-    sum_ = torch.where(little, along + (1.0 - c) * (1.0 + c), 1.0)
-    direct = 2.0 * along / (both * both) * (1.0 + (n / sum_) * (n / sum_))
-    return torch.where(little, direct, 1.0 - reflected)
+def _transmitted(c: Tensor, n: Tensor, g: Tensor, wanted: Tensor) -> Tensor:
+    """``1 - F`` as ``2 c g (1/A^2 + eta^2/B^2)``, B = A (c g + s^2), finite where it is not wanted."""
+    along = c * g
+    a, s = torch.where(wanted, c + g, 1.0), torch.where(wanted, along + (1.0 - c) * (1.0 + c), 1.0)
+    return 2.0 * along / (a * a) * (1.0 + (n / s) * (n / s))
 
 
 def _extended(c: Tensor, n: Tensor) -> Tensor:
