@@ -14,9 +14,9 @@ part       "both", "reflection", ...       both lobes, or one of them alone ("tr
 
 ``F`` is the exact law of a dielectric, ``R`` and ``T`` the directions of mirror reflection and of refraction (Snell). A viewer below the
 surface (n.wo < 0) sees the inverse index, and total internal reflection beyond its critical angle: there the reflected weight is
-exactly 1 and no sample is refracted. The weights are ``F`` and ``(n_o/n_i)^2 (1 - F)``, ``1 - F`` with all its digits; ``mode="flux"``
-drops the factor. ``BSDFSample.eta`` is n_i/n_o, n(side of wi) / n(side of wo), in both. So ``f(wi, wo)/n_o^2 = f(wo, wi)/n_i^2``, and
-``f(wi, wo) = f(wo, wi)`` of flux.
+exactly 1 and no sample is refracted. The weights are ``F`` and ``(n_o/n_i)^2 (1 - F)``, ``1 - F`` with all its digits, so that
+``f(wi, wo)/n_o^2 = f(wo, wi)/n_i^2``. ``mode="flux"`` drops the factor: it is the adjoint, ``f(wo, wi)``, of what is traced from the light.
+``BSDFSample.eta`` is n_i/n_o, n(side of wi) / n(side of wo), in both modes.
 
 One index for all channels, which decides where the ray goes: dispersion sends every wavelength elsewhere, and is one model each.
 The directional albedo is 1. At eta = 1 nothing is reflected and ``wi = -wo``. Not smooth at the horizon and at the critical angle
