@@ -30,7 +30,7 @@ Walsh 1926; over Lambert's surface at every angle Wolff 1994.
 >>> import torch, torchbrdf as tb
 >>> up = torch.tensor([0.0, 0.0, 1.0])
 >>> tb.Coated(tb.Lambert([1.0, 0.5, 0.0]), 1.5).directional_albedo(up)
-tensor([1.0000, 0.3162, 0.0400])
+tensor([1.0000, 0.3161, 0.0400])
 """
 
 import math
@@ -79,6 +79,8 @@ class Coated(Bsdf):
         if not self.may_hold(self.base):
             found = ", ".join(dict.fromkeys(lobe.label for lobe in self.base.lobes if lobe != Lobe.DIFFUSE_REFLECTION))
             raise ValueError(f"Coated.base: expected lobes of diffuse reflection alone, found {found} of {type(self.base).__name__}")
+        if not isinstance(self.gloss, bool):
+            raise TypeError(f"Coated.gloss: found {self.gloss!r}, legal are True and False")
         one_index("Coated.eta", self.eta)
         super().__post_init__()
 

@@ -25,8 +25,8 @@ The directional albedo is 1. At eta = 1 nothing is reflected and ``wi = -wo``. N
 >>> import torch, torchbrdf as tb
 >>> glass, up = tb.SmoothDielectric(1.5), torch.tensor([0.0, 0.0, 1.0])
 >>> through = glass.sample(up, torch.tensor([0.5, 0.5, 0.9]))
->>> through.wi, through.eta, through.weight * through.pdf  # 0.96 / 1.5^2
-(tensor([ 0.,  0., -1.]), tensor([1.5000]), tensor([0.4267]))
+>>> through.wi[2], through.eta, through.weight * through.pdf  # 0.96 / 1.5^2
+(tensor(-1.), tensor([1.5000]), tensor([0.4267]))
 """
 
 from typing import Any, NamedTuple
