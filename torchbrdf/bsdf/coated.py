@@ -60,6 +60,7 @@ class Below(NamedTuple):
     rho: Channels  # albedo of the base under diffuse light
     gain: Channels  # 1 / (1 - rho F_di)
     escape: Tensor  # 1 - F_di
+    eta: Tensor  # read once, so that a half type rounds its slope once
 
 
 @value
@@ -106,8 +107,8 @@ class Coated(Bsdf):
         return Mirror(torch.ones_like(self.eta), Dielectric(self.eta)) if mirror else None
 
     def formula(self, g: Geometry) -> Channels:
-        below, over = self.below(g.viewer), split(g.cos_i, g.scalar(self.eta))
-        eta = g.scalar(self.eta)
+        below = self.below(g.viewer)
+        over, eta = split(g.cos_i, below.eta), below.eta
         through = below.at.transmitted * over.transmitted / (eta * eta)
         if self.base.lambertian is not None:
             through = through * (1.0 / math.pi)
@@ -148,7 +149,7 @@ class Coated(Bsdf):
 
     def kink_distance(self, g: Geometry) -> Tensor:
         """The horizon, the critical angles of both directions, and what is not smooth about the base."""
-        eta = g.scalar(self.eta)
+        eta = self.below(g.viewer).eta
         total = (1.0 - eta) * (1.0 + eta)
         critical = [(cos * cos - total).abs() for cos in (g.cos_i, g.cos_o)]
         seen = g if self.base.lambertian is not None else self.inner(g, split(g.cos_i, eta))
@@ -164,11 +165,11 @@ class Coated(Bsdf):
         rho = mean_albedo(self.base, viewer.layout) if flat is None else viewer.colour(flat)
         # 1 - rho F_di without the difference of what may be equal
         gain = tuple(1.0 / ((1.0 - r) + r * escape) for r in rho)
-        return Below(split(viewer.cos_o, eta), rho, gain, escape)
+        return Below(split(viewer.cos_o, eta), rho, gain, escape, eta)
 
     def inner(self, g: Geometry, over: Split) -> Geometry:
         """The pair of directions below the coat: those of the light that the base meets, pointing up."""
-        v, eta = g.viewer, g.scalar(self.eta)
+        v, eta = g.viewer, self.below(g.viewer).eta
         wo, wi = (
             bent(w, v.n, at.g - numerics.unit_interval(c), at, eta)
             for w, c, at in ((v.wo, v.cos_o, self.below(v).at), (g.wi, g.cos_i, over))
