@@ -33,7 +33,8 @@ class Mirror(Effect):
             return Decision(self.name, False, "no mirror lobe")
         if not scene.count(*self.lights):
             return Decision(self.name, False, "no environment to be seen in the mirror; points and directions are met with probability 0")
-        what = lobes.replace("delta reflection", "mirror reflection").replace("delta transmission", "refraction at a single interface")
+        words = {"delta reflection": "mirror reflection", "delta transmission": "refraction (a single interface)"}
+        what = " and ".join(words.get(lobe, lobe) for lobe in lobes.split(", "))
         return Decision(self.name, True, f"{what} of the environment map: one look-up, exact; the mesh itself is not reflected")
 
     def run(self, bsdf: Bsdf, surface: Surface, lights: Sequence[tuple[int, Light]], prepared: Prepared) -> list[Contribution]:
