@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import torchbrdf
-from torchbrdf.bsdf.base import ALBEDO_ORDER
+from torchbrdf.bsdf.base import ALBEDO_ORDER, Bsdf
 from torchbrdf.registry import BSDFS, FRESNEL_TERMS, registered
+from torchbrdf.testing.instances import of_class
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
@@ -58,7 +59,7 @@ def overview(classes: tuple[type[Any], ...]) -> str:
     rows = [["model", "formula", "parameters", "lobes", "directional albedo", "reciprocal"]]
     for cls in classes:
         parameters = ", ".join(f"`{n}` in {p.constraint}" for n, p in cls.params().items())
-        lobes = "those of its parts" if isinstance(cls.lobes, property) else ", ".join(lobe.label for lobe in cls.lobes)
+        lobes = "those of its parts" if is_of_parts(cls) else ", ".join(lobe.label for lobe in lobes_of(cls))
         reciprocal = "if its parts are" if isinstance(cls.reciprocal, property) else "yes" if cls.reciprocal else "no"
         rows.append(
             [
@@ -75,10 +76,21 @@ def overview(classes: tuple[type[Any], ...]) -> str:
 
 def albedo_of(cls: type[Any]) -> str:
     """How a class comes by its directional albedo."""
-    if isinstance(cls.lobes, property):
+    if is_of_parts(cls):
         return "from its parts"
-    closed = "albedo_at" in vars(cls) or all(lobe.is_delta for lobe in cls.lobes)
+    closed = "albedo_at" in vars(cls) or all(lobe.is_delta for lobe in lobes_of(cls))
     return "in closed form" if closed else f"by quadrature, {ALBEDO_ORDER} x {ALBEDO_ORDER} nodes"
+
+
+def is_of_parts(cls: type[Any]) -> bool:
+    """Whether a class is made of models of any kind, and has the lobes that they have."""
+    return "may_hold" not in vars(cls) and any(isinstance(v, Bsdf) for v in next(of_class(cls))[1].nested())
+
+
+def lobes_of(cls: type[Any]) -> tuple[Any, ...]:
+    """Those of a class, or where its static choices decide, of its first variant."""
+    found: tuple[Any, ...] = next(of_class(cls))[1].lobes if isinstance(cls.lobes, property) else cls.lobes
+    return found
 
 
 def own_formula(cls: type[Any]) -> str:

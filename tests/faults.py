@@ -12,7 +12,7 @@ import torch
 
 import torchbrdf as tb
 from torchbrdf import geometry, numerics, sampling, vector
-from torchbrdf.bsdf import base, blinn_phong, lambert, mirror, phong, sampler, two_sided
+from torchbrdf.bsdf import base, blinn_phong, coated, lambert, mirror, phong, sampler, smooth_dielectric, two_sided
 from torchbrdf.bsdf.lobe import Delta, Draw
 from torchbrdf.geometry import each
 from torchbrdf.optics import fresnel
@@ -75,6 +75,14 @@ def _narrow_blinn() -> Any:
 
 def _two_sides() -> Any:
     return tb.TwoSided(tb.BlinnPhong(0.4, 20.0), tb.Lambert(0.7))
+
+
+def _coated() -> Any:
+    return tb.Coated(_lambert(), 1.5)
+
+
+def _glass() -> Any:
+    return tb.SmoothDielectric(1.5)
 
 
 # --- the faulty pieces -------------------------------------------------------------------------------------------------
@@ -376,6 +384,25 @@ def lobe_of_another_exponent(original: Any) -> Any:
     return faulty
 
 
+def coat_without_solid_angle(original: Any) -> Any:
+    """Without 1/eta^2: the cone into which refraction gathers light is taken for the hemisphere."""
+
+    def faulty(self: Any, g: Any) -> Any:
+        eta = g.scalar(self.eta)
+        return tuple(f * eta * eta for f in original(self, g))
+
+    return faulty
+
+
+def radiance_the_other_way(original: Any) -> Any:
+    """Grows where it should shrink."""
+
+    def faulty(self: Any, viewer: Any) -> Any:
+        return [d._replace(weight=tuple(w * d.eta**4 for w in d.weight)) for d in original(self, viewer)]
+
+    return faulty
+
+
 FAULTS = (
     Fault("lobe of another exponent", "textbook", blinn_phong.BlinnPhong, "formula", lobe_of_another_exponent, _blinn),
     Fault("Lambert without 1/pi", "lambert", lambert.Lambert, "formula", lambert_without_pi, _lambert),
@@ -427,5 +454,8 @@ FAULTS = (
     Fault("branches on data", "compiles", lambert.Lambert, "formula", branches_on_data, _lambert),
     Fault("0/0 for a zero normal", "hard_cases", vector, "unit_components", naive_normalise, _lambert),
     Fault("sqrt at 0", "hard_cases", numerics, "safe_sqrt", naive_sqrt, _phong),
+    Fault("a coat without the solid angle", "albedo", coated.Coated, "formula", coat_without_solid_angle, _coated),
+    Fault("a coat without the solid angle", "mean_weight", coated.Coated, "formula", coat_without_solid_angle, _coated),
+    Fault("radiance the other way", "mean_weight", smooth_dielectric.SmoothDielectric, "deltas", radiance_the_other_way, _glass),
     Fault("textbook dielectric", "hard_cases", fresnel, "dielectric", textbook_dielectric, _dielectric),
 )

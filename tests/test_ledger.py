@@ -39,7 +39,7 @@ def test_faults_are_seen(law, measured):
     right = LAWS[law].default
 
     def cut(*x):
-        return right.formula(*x[:-1], x[-1].detach())
+        return right.formula(*x[:-1], x[-1].detach()) + 0.0 * x[-1]
 
     def spoilt(*x):
         return right.formula(*x) / (torch.arange(len(x[-1])) != 7)

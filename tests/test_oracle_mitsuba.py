@@ -105,3 +105,42 @@ def test_frame_is_mitsubas(mi):
         ours = tb.Frame.from_normal(n)
         assert ours.tangent.tolist() == pytest.approx(list(theirs.s), abs=SINGLE)
         assert ours.bitangent.tolist() == pytest.approx(list(theirs.t), abs=SINGLE)
+
+
+@pytest.mark.parametrize("eta", [1.33, 1.5, 2.42])
+def test_smooth_dielectric_is_its_dielectric(mi, eta):
+    """Radiance along a path from the camera, which is its default: weight, direction and index of both lobes, from both sides."""
+    theirs, ours = mi.load_dict({"type": "dielectric", "int_ior": eta, "ext_ior": 1.0}), tb.SmoothDielectric(eta)
+    wo = above(50, generator(4))
+    wo[::2, 2] *= -1.0
+    for w in wo:
+        viewer = ours.viewer(w, None)
+        for delta, u in zip(ours.deltas(viewer), (0.0, 1.0), strict=True):
+            power = delta.weight[0].item()
+            if power == 0.0:
+                continue  # total reflection
+            sample, weight = theirs.sample(mi.BSDFContext(), interaction(mi, w), u, mi.Point2f(0.5, 0.5))
+            assert next(iter(weight)) * sample.pdf == pytest.approx(power, rel=256 * SINGLE, abs=SINGLE)
+            assert viewer.layout.join_vector(delta.wi).tolist() == pytest.approx(list(sample.wo), abs=64 * SINGLE)
+            assert float(delta.eta) == pytest.approx(sample.eta, rel=SINGLE)
+
+
+@pytest.mark.parametrize("nonlinear", [True, False])
+@pytest.mark.parametrize("eta", [1.3, 1.5, 1.9])
+def test_coated_is_its_plastic(mi, eta, nonlinear):
+    """But for its fit of F_di, which is put in place of ours. Linear, each return is white, and rho a factor of the whole."""
+    colour, wi, wo = [0.7, 0.4, 0.1], above(50, generator(5)), above(50, generator(6))
+    theirs = mi.load_dict({"type": "plastic", "diffuse_reflectance": rgb(colour), "int_ior": eta, "ext_ior": 1.0, "nonlinear": nonlinear})
+    fit, exact = mi.fresnel_diffuse_reflectance(1.0 / eta), 1.0 - (1.0 - tb.fresnel.dielectric_average(torch.tensor(eta).double())) / eta**2
+    assert fit == pytest.approx(exact.item(), abs=1.5e-3)
+    rho = torch.tensor(colour, dtype=torch.float64)
+    base = rho if nonlinear else torch.ones_like(rho)
+    ours = tb.Coated(tb.Lambert(base), eta)
+    scale = (1.0 - base * exact) / (1.0 - base * fit) * (1.0 if nonlinear else rho)
+    for i in range(50):
+        value = theirs.eval(mi.BSDFContext(), interaction(mi, wo[i]), mi.Vector3f(*wi[i].tolist()))
+        f = ours.evaluate(wi[i], wo[i]) * wi[i, 2] * scale
+        assert f.tolist() == pytest.approx(list(value), rel=256 * SINGLE)
+        sample, weight = theirs.sample(mi.BSDFContext(), interaction(mi, wo[i]), 0.0, mi.Point2f(0.5, 0.5))  # 0: always the reflection
+        (mirror,) = ours.deltas(ours.viewer(wo[i], None))
+        assert next(iter(weight)) * sample.pdf == pytest.approx(mirror.weight[0].item(), rel=256 * SINGLE)

@@ -53,9 +53,9 @@ class Viewer:
         return self.layout.scalar(parameter)
 
     def once(self, owner: Any, compute: Callable[[], Any], name: str = "") -> Any:
-        """What ``owner``, a model, computes for this viewer under a name: computed when first asked for and never twice."""
-        for holder, what, found in self._held:
-            if holder is owner and what == name:
+        """What ``owner``, a model, computes for this viewer: computed when first asked for and never twice. Several by ``name``."""
+        for holder, called, found in self._held:
+            if holder is owner and called == name:
                 return found
         found = compute()
         self._held.append((owner, name, found))

@@ -13,9 +13,11 @@ BSDFS = {
     "BlinnPhong": "bsdf.blinn_phong",
     "Mirror": "bsdf.mirror",
     "RoughConductor": "bsdf.rough_conductor",
+    "SmoothDielectric": "bsdf.smooth_dielectric",
     "Sum": "bsdf.combine",
     "Scaled": "bsdf.combine",
     "TwoSided": "bsdf.two_sided",
+    "Coated": "bsdf.coated",
 }
 FRESNEL_TERMS = {
     "Dielectric": "optics.fresnel",
@@ -32,6 +34,7 @@ DISTRIBUTIONS = {
 LAWS = {
     "dielectric": "optics.laws",
     "conductor": "optics.laws",
+    "dielectric_average": "optics.laws",
     "phong_lobe": "bsdf.laws",
     "blinn_lobe": "bsdf.laws",
 }

@@ -96,12 +96,22 @@ class Bsdf(Value):
         """
         return torch.ones(1, dtype=torch.float64)
 
+    @property
+    def lambertian(self) -> Tensor | None:
+        """The albedo ``[..., C]`` of a model that is ``albedo / pi`` at every pair of directions above the horizon; None of any other."""
+        return None
+
     def kink_distance(self, g: Geometry) -> Tensor:
         """How far ``[...]`` (in cosines) a geometry is from where f is not smooth: from the horizon, unless a model adds to it.
 
         Derivatives are claimed, and checked, where this is positive.
         """
         return torch.minimum(g.cos_i.abs(), g.cos_o.abs())
+
+    @classmethod
+    def may_hold(cls, model: "Bsdf") -> bool:
+        """Whether a model may stand inside one of this class: any, unless a class says otherwise; the contract chooses by it."""
+        return True
 
     # The verbs ---------------------------------------------------------------------------------------------------------
 

@@ -47,11 +47,11 @@ class Sum(Bsdf):
 
     @property
     def energy_bound(self) -> Tensor | None:
-        bounds = [b for t in self.terms if (b := t.energy_bound) is not None]
-        if len(bounds) < len(self.terms):
-            return None
-        bounds = parameters.alike(*bounds)
-        return sum(bounds[1:], bounds[0])
+        return _total([t.energy_bound for t in self.terms])
+
+    @property
+    def lambertian(self) -> Tensor | None:
+        return _total([t.lambertian for t in self.terms])
 
     def kink_distance(self, g: Geometry) -> Tensor:
         return nearest(*(t.kink_distance(g) for t in self.terms))
@@ -145,6 +145,11 @@ class Scaled(Bsdf):
         bound = self.inner.energy_bound
         return None if bound is None else torch.mul(*parameters.alike(bound, self.factor))
 
+    @property
+    def lambertian(self) -> Tensor | None:
+        albedo = self.inner.lambertian
+        return None if albedo is None else torch.mul(*parameters.alike(albedo, self.factor))
+
     def kink_distance(self, g: Geometry) -> Tensor:
         return self.inner.kink_distance(g)
 
@@ -173,6 +178,15 @@ class Scaled(Bsdf):
     def albedo_at(self, viewer: Viewer, order: int) -> Channels:
         """``factor`` times the inner albedo."""
         return each(torch.mul, self.inner.albedo_at(viewer, order), viewer.colour(self.factor))
+
+
+def _total(colours: list[Tensor | None]) -> Tensor | None:
+    """The sum of colours of several terms; None where one of them has none."""
+    known = [c for c in colours if c is not None]
+    if len(known) < len(colours):
+        return None
+    known = parameters.alike(*known)
+    return sum(known[1:], known[0])
 
 
 def _inside(term: Bsdf, g: Geometry, terms: tuple[Bsdf, ...]) -> Channels:

@@ -60,3 +60,7 @@ class Lambert(Bsdf):
     @property
     def energy_bound(self) -> Tensor:
         return self.albedo
+
+    @property
+    def lambertian(self) -> Tensor | None:
+        return self.albedo if type(self).formula is Lambert.formula else None

@@ -52,7 +52,7 @@ def shares(bsdf: Bsdf, viewer: Viewer) -> tuple[list[Delta], list[Tensor] | None
         strengths = [viewer.layout.mean(d.weight) for d in deltas]
         return deltas, normalised(strengths + [bsdf.strength(viewer)] * has_spread(bsdf))
 
-    return viewer.once(bsdf, compute)
+    return viewer.once(bsdf, compute, "shares")
 
 
 def mixture_density(bsdf: Bsdf, g: Geometry) -> Tensor:

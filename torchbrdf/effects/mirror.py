@@ -2,8 +2,9 @@ r"""What delta lobes (mirrors, clear glass) show of the environment.
 
 .. math:: L(\omega_o) = \sum_d w_d(\omega_o)\; L_{env}(\omega_d)
 
-with the directions and weights of the model's ``deltas``. Exact: the reflection equation collapses to one look-up for each lobe. The
-mesh itself is not seen (no interreflection), and point lights never are: a delta lobe meets a delta light with probability 0.
+with the directions and weights of the model's ``deltas``. Exact: the reflection equation collapses to one look-up for each lobe; that of
+refraction is in the refracted direction, as if the medium behind the surface had no other end. The mesh itself is not seen (no
+interreflection), and point lights never are: a delta lobe meets a delta light with probability 0.
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,8 @@ class Mirror(Effect):
             return Decision(self.name, False, "no mirror lobe")
         if not scene.count(*self.lights):
             return Decision(self.name, False, "no environment to be seen in the mirror; points and directions are met with probability 0")
-        what = "mirror reflection" if lobes == "delta reflection" else lobes
+        words = {"delta reflection": "mirror reflection", "delta transmission": "refraction (a single interface)"}
+        what = " and ".join(words.get(lobe, lobe) for lobe in lobes.split(", "))
         return Decision(self.name, True, f"{what} of the environment map: one look-up, exact; the mesh itself is not reflected")
 
     def run(self, bsdf: Bsdf, surface: Surface, lights: Sequence[tuple[int, Light]], prepared: Prepared) -> list[Contribution]:

@@ -75,3 +75,15 @@ def conductor_f82(cos_i: Tensor, eta: Tensor, k: Tensor) -> Tensor:
     f0 = conductor_f0(eta, k)
     at_82 = torch.full_like(f0, AT_82_DEGREES)
     return f82_tint(cos_i, f0, conductor(at_82, eta, k) / schlick(at_82, f0))
+
+
+def average_egan(eta: Tensor) -> Tensor:
+    """A dielectric's reflectance of diffuse light, from a fit of that of the light inside (Egan & Hilgeman 1973)."""
+    within = -1.4399 / (eta * eta) + 0.7099 / eta + 0.6681 + 0.0636 * eta
+    return 1.0 - (1.0 - within) * (eta * eta)
+
+
+def average_deon(eta: Tensor) -> Tensor:
+    """The same by a polynomial in 1/eta, for eta >= 1 (d'Eon & Irving 2011, twice their C_1)."""
+    x = 1.0 / eta
+    return 0.919317 + x * (-3.4793 + x * (6.75335 + x * (-7.80989 + x * (4.98554 - 1.36881 * x))))

@@ -55,12 +55,52 @@ def _plain(c: Tensor, n: Tensor) -> Tensor:
 def _from_g2(c: Tensor, n: Tensor, g2: Tensor) -> Tensor:
     """The reflectance in one quotient a factor, selected once."""
     least = numerics.tiny(g2.dtype)  # not 0: between matched media g^2 = c^2, and slopes by eta grow as 1/c^2
-    g = torch.sqrt(functional.threshold(g2, least, 1.0))
+    return _reflected(c, n, torch.sqrt(functional.threshold(g2, least, 1.0)), numerics.step(g2 - least))
+
+
+def _reflected(c: Tensor, n: Tensor, g: Tensor, partial: Tensor) -> Tensor:
+    """The reflectance where ``partial`` is 1; where it is 0, that of total reflection and of matched media grazing."""
     along, across, both = c * g, (1.0 - c) * (1.0 + c), c + g
     r_s, share = (n - 1.0) * (n + 1.0) / (both * both), along / (along + across)
     found = numerics.at_most(r_s * r_s * (1.0 - 2.0 * share * (1.0 - share)), 1.0)
-    partial = numerics.step(g2 - least)
     return found * partial + (1.0 - partial) * (n < 1.0).to(found.dtype)
+
+
+class Split(NamedTuple):
+    """What an interface does with unit power at one angle."""
+
+    reflected: Tensor  # the reflectance F
+    transmitted: Tensor  # 1 - F, with all its digits where F is near 1
+    g: Tensor  # eta times the refracted cosine; 0 under total reflection
+
+
+def split(cos_i: Tensor, eta: Tensor) -> Split:
+    """The reflectance (:func:`dielectric`, standard) and what is left of 1, which adds up to 1 within an ulp or two.
+
+    ``cos_i`` in [0, 1], ``eta`` > 0, of a working dtype. Under total internal reflection exactly 1, 0 and 0, with gradient 0; between
+    matched media exactly 0, 1 and ``cos_i``.
+    """
+    c, n = numerics.unit_interval(cos_i), eta
+    g2 = numerics.eta2_minus_sin2_widened(c, n)
+    least = numerics.tiny(g2.dtype)
+    partial = numerics.step(g2 - least)
+    g = torch.sqrt(functional.threshold(g2, least, 1.0))
+    reflected = _reflected(c, n, g, partial)
+    little = (reflected > 0.5) & (partial > 0.0)  # what is transmitted, of which a difference would have few digits left
+    direct = _transmitted(c, n, g, little)
+    matched = (n == 1.0) & (g2 <= least)  # and grazing
+    return Split(
+        torch.where(little, 1.0 - direct, reflected),
+        torch.where(little, direct, 1.0 - reflected),
+        torch.where(matched, c, g * partial),
+    )
+
+
+def _transmitted(c: Tensor, n: Tensor, g: Tensor, wanted: Tensor) -> Tensor:
+    """``1 - F`` as ``2 c g (1/A^2 + eta^2/B^2)``, B = A (c g + s^2), finite where it is not wanted."""
+    along = c * g
+    a, s = torch.where(wanted, c + g, 1.0), torch.where(wanted, along + (1.0 - c) * (1.0 + c), 1.0)
+    return 2.0 * along / (a * a) * (1.0 + (n / s) * (n / s))
 
 
 def _extended(c: Tensor, n: Tensor) -> Tensor:

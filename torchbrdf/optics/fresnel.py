@@ -33,8 +33,9 @@ from .conductor import METHODS as CONDUCTOR_METHODS
 from .conductor import conductor
 from .dielectric import METHODS as DIELECTRIC_METHODS
 from .dielectric import dielectric, refraction_cosine
+from .dielectric_average import dielectric_average
 
-__all__ = ["Amplitudes", "amplitudes", "conductor", "dielectric", "refraction_cosine", "schlick"]
+__all__ = ["Amplitudes", "amplitudes", "conductor", "dielectric", "dielectric_average", "refraction_cosine", "schlick"]
 ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0), flat=(1.0,))
 
 

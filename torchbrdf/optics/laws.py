@@ -7,7 +7,7 @@ import numpy as np
 from torch import Tensor
 
 from ..method import Law, Method
-from . import approximations, fresnel
+from . import approximations, dielectric_average, fresnel
 
 
 def critical_angle(rng: Any, count: int) -> dict[str, Any]:
@@ -91,5 +91,37 @@ LAWS: tuple[Law, ...] = (
         ),
         hard=lambda rng, count: critical_angle(rng, count) | {"k": np.exp(rng.uniform(np.log(1e-6), np.log(0.1), count))},
         hard_where="k from 1e-6 to 0.1, about the critical angle, from 1e-7 to 0.1 of its cosine",
+    ),
+    Law(
+        "dielectric_average",
+        {"eta": (1.2, 2.5)},
+        dielectric_average.textbook,
+        (
+            Method(
+                "standard",
+                fresnel.dielectric_average,
+                "tb.fresnel.dielectric_average(eta)",
+                "Walsh 1926; Duntley 1942, eq. 14; poles divided out",
+                "16 ulp everywhere",
+            ),
+            Method(
+                "d'Eon & Irving",
+                approximations.average_deon,
+                "torchbrdf.optics.approximations.average_deon(eta)",
+                "d'Eon & Irving 2011, twice C_1",
+                "5e-5 for eta in [1.2, 2.5], 2.1e-4 from 1 on",
+                exact=False,
+            ),
+            Method(
+                "Egan & Hilgeman",
+                approximations.average_egan,
+                "torchbrdf.optics.approximations.average_egan(eta)",
+                "Egan & Hilgeman 1973, of the light inside",
+                "0.033 for eta in [1.2, 2.5], 0.0012 in [1.3, 1.8]",
+                exact=False,
+            ),
+        ),
+        hard=lambda rng, count: {"eta": 1.0 + np.exp(rng.uniform(np.log(1e-6), np.log(0.1), count)) * rng.choice([-1.0, 1.0], count)},
+        hard_where="from 1e-6 to 0.1 of 1, to either side",
     ),
 )

@@ -31,7 +31,7 @@ def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterato
     """Instances of one class, registered or not."""
     hints = typing.get_type_hints(cls)
     rng = generator(seed)
-    slots = {name: list(_fillings(hints[name], rng)) for name in cls._fields if name not in cls._params}
+    slots = {name: [f for f in _fillings(hints[name], rng) if _fits(cls, f[1])] for name in cls._fields if name not in cls._params}
     slots = {name: fillings for name, fillings in slots.items() if fillings}
     variants: tuple[dict[str, Any], ...] = getattr(cls, "variants", ({},))
     for variant in variants:
@@ -40,6 +40,10 @@ def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterato
             labels = [str(v) for v in variant.values()] + [label for label, _ in filling.values()]
             drawn = {name: draw(spec, rng) for name, spec in cls._params.items()}
             yield f"{cls.__name__}({', '.join(labels)})", cls(**{**drawn, **static})
+
+
+def _fits(cls: type[Value], filling: Any) -> bool:
+    return not (isinstance(filling, Bsdf) and issubclass(cls, Bsdf)) or cls.may_hold(filling)
 
 
 def draw(spec: Param, rng: torch.Generator) -> torch.Tensor:
@@ -81,7 +85,7 @@ def _sum(terms: tuple[Bsdf, ...]) -> Bsdf:
 
 
 def mixtures(rng: torch.Generator) -> Iterator[tuple[str, tuple[Bsdf, ...]]]:
-    """Typical contents of a model made of models: one lobe, two, one of them a delta, and a nested mixture.
+    """Typical contents of a model made of models: one lobe, two, one of them a delta, a nested mixture, and Lambert's surface.
 
     The colours of two lobes beside one another are halved: each alone may reflect nearly all, and no mixture may reflect more.
     """
@@ -99,3 +103,4 @@ def mixtures(rng: torch.Generator) -> Iterator[tuple[str, tuple[Bsdf, ...]]]:
     yield "Lambert + Phong", (of(Lambert, 0.5), of(Phong, 0.5, fresnel=schlick))
     yield "Lambert + Mirror", (of(Lambert, 0.5), of(Mirror, 0.5, fresnel=schlick))
     yield "BlinnPhong + 0.5 (Lambert + Mirror)", (of(BlinnPhong, 0.5), 0.5 * (of(Lambert, 0.5) + of(Mirror, 0.5)))
+    yield "Lambert", (of(Lambert),)
