@@ -40,14 +40,16 @@ def _of_spread(bsdf: Bsdf, viewer: Viewer, order: int) -> Channels:
     r"""``integral f(w -> d) |cos_d| dd`` over directions d that the sampler gives for w."""
     several = sum(not lobe.is_delta for lobe in bsdf.lobes) > 1
     u, weights = quadrature.unit_cube(order * order) if several else quadrature.unit_square(order)
+    nodes = torch.cat([u, weights.unsqueeze(-1)], -1)
+    return summed(bsdf, viewer, nodes, lambda chunk: _leaving(bsdf, viewer, Vec(*chunk[..., :3].unbind(-1)), chunk[..., 3]))
+
+
+def summed(bsdf: Bsdf, viewer: Viewer, nodes: Tensor, part: Callable[[Tensor], Channels]) -> Channels:
+    """The sum of ``part`` over chunks of ``nodes [N, K]``, which it gets as ``[N, ..., K]`` beside the batch axes."""
     like = viewer.cos_o
     batch = torch.broadcast_shapes(like.shape, (*bsdf.batch_shape, 1) if viewer.layout.wide else bsdf.batch_shape)
-    nodes = torch.cat([u, weights.unsqueeze(-1)], -1).to(like).unflatten(0, (-1, *(1,) * len(batch)))
-    chunks = nodes.split(max(1, CHUNK // max(1, batch.numel())))
-
-    def part(chunk: Tensor) -> Channels:
-        return _leaving(bsdf, viewer, Vec(*chunk[..., :3].unbind(-1)), chunk[..., 3])
-
+    beside = nodes.to(like).unflatten(0, (-1, *(1,) * len(batch)))
+    chunks = beside.split(max(1, CHUNK // max(1, batch.numel())))
     total = _run(part, chunks[0], len(chunks))
     for chunk in chunks[1:]:
         total = each(torch.add, total, _run(part, chunk, len(chunks)))

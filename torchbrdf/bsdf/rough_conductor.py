@@ -40,6 +40,7 @@ from ..optics.ggx import GGX
 from ..value import param, value
 from ..vector import Vec
 from .base import Bsdf, nearest
+from .facet_albedo import facet_albedo
 from .lobe import Draw, Lobe
 from .phong import fresnel_kink
 from .shadowing import SHADOWING, TEXTBOOK
@@ -114,8 +115,10 @@ class RoughConductor(Bsdf):
         return Draw(vector.reflect_components(viewer.wo, self.normals.visible_normal(viewer.wo, self._rough(viewer), u)))
 
     def albedo_at(self, viewer: Viewer, order: int) -> Channels:
-        """By quadrature of the sampler; V-cavities have ridges, which need more nodes."""
-        return super().albedo_at(viewer, order + order // 2 if self.shadowing == "v_cavity" else order)
+        """By quadrature over the normals; V-cavities have ridges, which need more nodes."""
+        order = order + order // 2 if self.shadowing == "v_cavity" else order
+        rough = self._rough(viewer.local)
+        return facet_albedo(self, viewer.local, rough, lambda facet: self.normals.density(facet, rough), order)
 
     def strength(self, viewer: Viewer) -> Tensor:
         """F in the mirror direction."""
