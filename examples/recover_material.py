@@ -1,4 +1,4 @@
-"""Recover a material from photographs: albedo, specular strength, exponent and index of refraction.
+"""Recover a material from photographs: albedo, specular strength, exponent, index of refraction; or a metal's roughness and colour.
 
     python examples/recover_material.py                                # a scene of its own, made, rendered and recovered
     python examples/recover_material.py --scene scene.json --material lambert
@@ -16,7 +16,7 @@ import torch
 from recovery import builtin, scene_file
 from recovery.confidence import Confidence
 from recovery.fit import ITERATIONS, Model, fit
-from recovery.problem import Problem, make_material
+from recovery.problem import MODELS, Problem, make_material
 from recovery.sheet import render, save_material, save_sheet
 from torch import Tensor, nn
 
@@ -93,6 +93,8 @@ def recover(
     truth = true_values(problem, shown)
     rows = report(truth, started, recovered, {k: sure.of(v) for k, v in recovered.items()})
     rows += _texel_error(material, problem, shown)
+    if model == "conductor":
+        print("f0 is the reflectance at normal incidence; n and k, many pairs of which give it, are not identifiable from photographs")
     if not quiet:
         out.mkdir(parents=True, exist_ok=True)
         save_sheet(out / "sheet.png", view, first, render(material, problem, view), [step.loss for step in history])
@@ -119,7 +121,9 @@ def main(argv: list[str] | None = None) -> list[dict[str, Any]]:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", type=Path, help="a scene file; without one, a scene is made")
     parser.add_argument("--material", default="lambert", help="which images of the scene file to use")
-    parser.add_argument("--model", choices=("lambert", "glossy"), help="default: lambert for images of that name, else glossy")
+    parser.add_argument(
+        "--model", choices=MODELS, help="default: lambert for images of that name, conductor for those whose alpha is known, else glossy"
+    )
     parser.add_argument("--texels", type=int, default=0, help="side of the albedo texture; 0: one colour")
     parser.add_argument("--shadow", choices=("auto", "off"), default="auto", help="off: ignore cast shadows, use the whole mask")
     parser.add_argument("--seed", type=int, default=0, help="of the scene that is made")
@@ -134,8 +138,8 @@ def main(argv: list[str] | None = None) -> list[dict[str, Any]]:
         print(f"seed {args.seed}: {len(builtin.ANGLES)} lights, noise {problem.noise:.2g}, angle(wi, h) up to {angle:.0f} degrees")
         rows = recover(problem, "glossy", builtin.TEXELS, args.iterations, args.out, optimizer=args.optimizer)
     else:
-        model = args.model or ("lambert" if args.material == "lambert" else "glossy")
         problem = scene_file.load(args.scene, args.material, args.shadow)
+        model = args.model or ("lambert" if args.material == "lambert" else "conductor" if "alpha" in problem.truth else "glossy")
         rows = recover(problem, model, args.texels, args.iterations, args.out, optimizer=args.optimizer)
     print(f"{time.perf_counter() - began:.1f} s")
     return rows

@@ -128,16 +128,20 @@ def test_spot_with_shadows_without_and_without_the_truth(example, shared_data, t
         assert bare[name]["error"] is None
 
 
-def test_spot_through_a_window(example, tmp_path):
-    """What the repository carries of Mitsuba's images (all of them: above): two lights, 64 x 64 pixels, a shadow between the legs."""
-    folder = CARRIED / "spot" / "tail"
+def window_scene(folder, material):
+    """The scene file of a window of Mitsuba's images: two lights, 64 x 64 pixels."""
     _, view, scene = spot(folder)
     (fx, fy), (cx, cy) = view.focal.tolist(), view.principal.tolist()
     pose = torch.cat([view.rotation, -(view.rotation @ view.origin).unsqueeze(-1)], -1)
     camera = {"K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]], "world_to_camera": pose.tolist(), "size": [64, 64]}
-    images = {"lambert": [str(folder / f) for f in scene["images"]["lambert"]]}
+    images = {material: [str(folder / f) for f in scene["images"][material]]}
     kept = {k: scene[k] for k in ("lights", "intensity", "materials")}
-    (tmp_path / "scene.json").write_text(json.dumps({**kept, **camera, "mesh": str(folder / scene["mesh"]), "images": images}))
+    return {**kept, **camera, "mesh": str(folder / scene["mesh"]), "images": images}
+
+
+def test_spot_through_a_window(example, tmp_path):
+    """What the repository carries of Mitsuba's images (all of them: above): a shadow between the legs."""
+    (tmp_path / "scene.json").write_text(json.dumps(window_scene(CARRIED / "spot" / "tail", "lambert")))
     call = ["--scene", str(tmp_path / "scene.json"), "--material", "lambert", "--iterations", "20", "--out", str(tmp_path / "out")]
     rows, blind = by_name(example.main(call)), by_name(example.main([*call, "--shadow", "off"]))
     for name, value in zip(("albedo R", "albedo G", "albedo B"), ALBEDO, strict=True):

@@ -70,8 +70,17 @@ def uniform_or_texture(start: float, texels: int) -> tb.nn.Field:
     return tb.nn.Texture(torch.full((texels, texels, 3), start)) if texels else tb.nn.Learned([start] * 3)
 
 
+MODELS = ("lambert", "glossy", "conductor")
+
+
 def make_material(model: str, texels: int, start: dict[str, Any]) -> nn.Module:
-    """``lambert``, or ``glossy``: Lambert + Phong with the exact Fresnel term of a dielectric."""
+    """``lambert``; ``glossy``: Lambert + Phong with the exact Fresnel term of a dielectric; ``conductor``: a rough metal.
+
+    A metal's colour is its reflectance at normal incidence, ``f0``, under Schlick's law: photographs fix that, not the index n + ik.
+    """
+    if model == "conductor":
+        fresnel = tb.nn.Material(tb.Schlick, f0=uniform_or_texture(start["f0"], texels))
+        return tb.nn.Material(tb.RoughConductor, alpha=tb.nn.Learned(start["alpha"]), fresnel=fresnel)
     diffuse = tb.nn.Material(tb.Lambert, albedo=uniform_or_texture(start["albedo"], texels))
     if model == "lambert":
         return diffuse

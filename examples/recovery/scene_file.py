@@ -12,7 +12,7 @@ from .entry import Entry, read
 from .problem import Lights, Problem, View
 
 BORDER = 2  # pixels on each side of a 5x5 neighbourhood
-PARAMETERS = ("albedo", "specular", "exponent", "eta")
+PARAMETERS = ("albedo", "specular", "exponent", "eta", "alpha", "f0")
 LIGHTS: dict[str, tuple[type[tb.Light], dict[str, int | None]]] = {
     "point": (tb.PointLight, {"position": 3, "intensity": None}),
     "directional": (tb.DirectionalLight, {"direction": 3, "irradiance": None}),
@@ -33,13 +33,18 @@ def load(path: Path, name: str, shadow: str = "auto") -> Problem:
     if not lights.entries or not views:
         raise ValueError(f"{path}: {'views' if lights.entries else 'lights'}: found none; give one at least")
     truth = _truth(scene.entry("materials"), name) if "materials" in scene else {}
-    start = {"albedo": 0.5, "specular": 0.5, "exponent": 20.0, "eta": 1.3}
+    start = {"albedo": 0.5, "specular": 0.5, "exponent": 20.0, "eta": 1.3, "alpha": 0.6, "f0": 0.5}
     return Problem([_view(view, name, mesh, lights, shadow) for view in views], lights, truth, start)
 
 
 def _truth(materials: Entry, name: str) -> dict[str, Tensor]:
-    material = materials.entry(name) if name in materials else None
-    return {} if material is None else {k: material.numbers(k) for k in PARAMETERS if k in material}
+    if name not in materials:
+        return {}
+    material = materials.entry(name)
+    truth = {k: material.numbers(k) for k in PARAMETERS if k in material}
+    if "k" in material and "eta" in truth:  # the index of a metal, of which only the colour can be recovered
+        truth["f0"] = tb.fresnel.conductor(torch.ones(1, dtype=torch.float64), truth.pop("eta"), material.numbers("k"))
+    return truth
 
 
 def _light(given: Any, k: int, scene: Entry) -> Any:
