@@ -10,6 +10,7 @@ from ..bsdf.base import Bsdf
 from ..declaration import Param
 from ..geometry import Geometry
 from ..light.base import Light
+from ..optics.distribution import AXES
 from ..scene import orientation
 from ..scene.gbuffer import GBuffer
 from ..value import Value
@@ -20,12 +21,18 @@ BYTE = 1.0 / 512.0  # half a step of 8 bits
 
 @torch.no_grad()
 def warn(g: GBuffer, bsdf: Bsdf, lights: Sequence[Light]) -> None:
-    """Look for colours with an alpha channel, for one number a point read as channels, and for surfaces that all face away."""
+    """Look for colours with an alpha channel, one number a point read as channels, surfaces that all face away, and missing tangents."""
     for held in (bsdf, *lights):
         for name, t, spec in _colours(held):
             wrong = "" if arguments.values_hidden(t) else _of_colour(t, spec, g.batch_shape)
             if wrong:
                 arguments.warn(f"{name}: {wrong}")
+    for name in _along_tangents(bsdf):
+        if _no_tangent(g):
+            arguments.warn(
+                f"{name}: alpha of two numbers needs tangents; this GBuffer has none, and a frame made from the normals alone jumps: give "
+                "GBuffer(..., tangent=), or the mesh uv, along which they lie, or make alpha one number [..., 1]"
+            )
     if _faces_away(g, bsdf):
         arguments.warn(
             f"GBuffer: none of its {int(g.valid.sum())} valid pixels faces the viewer (n . view <= 0), and this material is black from "
@@ -37,6 +44,20 @@ def _colours(held: Value) -> Iterator[tuple[str, Tensor, Param]]:
     yield from ((f"{type(held).__name__}.{n}", t, spec) for n, t, spec in held.own_tensors() if spec.is_colour)
     for inner in held.nested():
         yield from _colours(inner)
+
+
+def _along_tangents(held: Value) -> Iterator[str]:
+    """The parameters of two numbers, along tangent and bitangent."""
+    yield from (f"{type(held).__name__}.{n}" for n, t, spec in held.own_tensors() if spec.event == AXES and t.shape[-1] == 2)
+    for inner in held.nested():
+        yield from _along_tangents(inner)
+
+
+def _no_tangent(g: GBuffer) -> bool:
+    """Whether the points that are shaded have no tangents, as far as can be seen."""
+    if g.tangent is None or arguments.values_hidden(g.tangent, g.valid):
+        return g.tangent is None
+    return bool(g.valid.any()) and not bool(((g.tangent != 0).any(-1, keepdim=True) & g.valid).any())
 
 
 def _of_colour(t: Tensor, spec: Param, points: torch.Size) -> str:
