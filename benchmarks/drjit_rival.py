@@ -20,14 +20,14 @@ class DrJit:
     def __init__(self, threads: int) -> None:
         os.environ.setdefault("DRJIT_LIBLLVM_PATH", _newest_llvm())
         import drjit as dr
-        from drjit.llvm.ad import Array3f, Float
+        from drjit.llvm.ad import Array2f, Array3f, Float
 
         dr.set_thread_count(threads)
-        self.dr, self.arrays = dr, {1: Float, 3: Array3f}
+        self.dr, self.arrays = dr, {1: Float, 2: Array2f, 3: Array3f}
         dr.eval(Float(1.0) + 1.0)  # finds and loads libLLVM
 
     def array(self, t: Tensor) -> Any:
-        """A tensor ``[N, 1]`` or ``[N, 3]``."""
+        """A tensor ``[N, 1]``, ``[N, 2]`` or ``[N, 3]``."""
         planes = t.detach().T.contiguous().numpy()
         found = self.arrays[t.shape[-1]](planes if len(planes) > 1 else planes[0])
         self.dr.eval(found)
@@ -43,6 +43,12 @@ class DrJit:
 
     def normalize(self, a: Any) -> Any:
         return self.dr.normalize(a)
+
+    def cross(self, a: Any, b: Any) -> Any:
+        return self.dr.cross(a, b)
+
+    def pair(self, a: Any) -> tuple[Any, Any]:
+        return a.x, a.y
 
     def sqrt(self, a: Any) -> Any:
         return self.dr.sqrt(self.dr.select(a > 0.0, a, 0.0))  # not maximum, which LLVM 15 cannot translate
@@ -91,7 +97,7 @@ def attempt() -> None:
     import workloads
 
     dj = DrJit(1)
-    for name in workloads.TERMS:
+    for name in workloads.NAMES:
         q = {k: dj.array(v) for k, v in workloads.points(name, 64, torch.float32).items()}
         dj.forward(workloads.textbook(name))(q)
         dj.both(workloads.textbook(name))({"normal": q["normal"]}, q, q["albedo"])

@@ -3,7 +3,8 @@
     python benchmarks/formulas.py [--points 1000000] [--rounds 15] [--threads 2] [--only W1c] [--write]
 
 Workloads: benchmarks/workloads.py. Values and gradients (of a weighted sum, by every parameter and the normal) are compared before
-anything is timed. Rivals take turns within each round. Last, exponents from 2 to 1000 are timed beside the constant 10.
+anything is timed. Rivals take turns within each round. Last, unless ``--only`` one, exponents from 2 to 1000 are timed beside
+the constant 10.
 """
 
 from collections.abc import Callable, Iterator
@@ -54,7 +55,7 @@ def one_graph(fn: Callable[[Points], Tensor], p: Points, weight: Tensor) -> Riva
 def by_drjit(dj: DrJit, name: str, p: Points, weight: Tensor) -> Rival:
     q, w = {k: dj.array(v) for k, v in p.items()}, dj.array(weight)
     forward, both = dj.forward(workloads.textbook(name)), dj.both(workloads.textbook(name))
-    rest = {k: q[k] for k in DIRECTIONS}
+    rest = {k: q[k] for k in DIRECTIONS if k in q}
     return Rival(lambda: forward(q), lambda: both(learned(q), rest, w))
 
 
@@ -106,7 +107,30 @@ def measure(name: str, count: int, rounds: int, dj: DrJit | None) -> str:
         agreed(found, p["normal"], part, dj)
     runs: Race = {(who, BOTH): rival.both for who, rival in found.items()}
     runs |= {(who, FORWARD): rival.forward for who, rival in found.items() if rival.forward}
-    return comparison(race(runs, rounds, name), [FORWARD, BOTH], "textbook eager", DRJIT if dj else None)
+    if name == "W2a":
+        runs |= isotropic(count, weight)
+    times = race(runs, rounds, name)
+    text = comparison(times, [FORWARD, BOTH], "textbook eager", DRJIT if dj else None)
+    return f"{text}\n\n{by_isotropic(times)}" if name == "W2a" else text
+
+
+ISOTROPIC = ", isotropic"
+
+
+def isotropic(count: int, weight: Tensor) -> Race:
+    """W2 by us, to run beside W2a."""
+    p = {k: tb.planar(v) for k, v in workloads.points("W2", count, torch.float32).items()}
+    mine, w = workloads.ours("W2"), tb.planar(weight)
+    found = {"ours compiled": by_autograd(tb.compile(mine), p, w), "ours as one graph": one_graph(mine, p, w)}
+    runs: Race = {(who + ISOTROPIC, BOTH): rival.both for who, rival in found.items()}
+    return runs | {(who + ISOTROPIC, FORWARD): rival.forward for who, rival in found.items() if rival.forward}
+
+
+def by_isotropic(times: dict[tuple[str, str], list[float]]) -> str:
+    """What the second number of roughness, and the tangent, cost."""
+    pairs = [(who.removesuffix(ISOTROPIC), column) for who, column in times if who.endswith(ISOTROPIC)]
+    parts = [f"{who}, {c}: {ratio(times[who + ISOTROPIC, c], times[who, c]):.2f}" for who, c in pairs]
+    return f"Anisotropic, in units of isotropic: {'; '.join(parts)}."
 
 
 def exponents(count: int, rounds: int) -> str:
@@ -132,22 +156,25 @@ COMPILED = tb.compile(workloads.ours("W1"))
 
 def main() -> None:
     parser = options(__doc__, points=1_000_000, rounds=15)
-    parser.add_argument("--only", choices=sorted(workloads.TERMS), help="one workload alone; nothing is written")
+    parser.add_argument("--only", choices=workloads.NAMES, help="one workload alone; nothing is written")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     dj = find(args.threads)
-    names = [args.only] if args.only else list(workloads.TERMS)
+    names = [args.only] if args.only else list(workloads.NAMES)
     parts = [f"**{n}.** {TITLES[n]}\n\n{measure(n, args.points, args.rounds, dj)}" for n in names]
     torch.compiler.reset()
+    parts += [] if args.only else [exponents(args.points, args.rounds)]
     with_drjit = f", {version('drjit')} (LLVM)" if dj else ""
     head = f"{args.points:,} points, {args.rounds} rounds, {machine(args.threads)}{with_drjit}. Medians, quartiles in brackets."
-    publish("formulas", "\n\n".join([head, *parts, exponents(args.points, args.rounds)]), args.write and not args.only)
+    publish("formulas", "\n\n".join([head, *parts]), args.write and not args.only)
 
 
 TITLES = {
     "W1": "Lambert + Schlick · Phong",
     "W1x": "Lambert + exact dielectric · Phong",
     "W1c": "Lambert + exact conductor · Phong",
+    "W2": "Lambert + Schlick · GGX, height-correlated",
+    "W2a": "Lambert + Schlick · GGX, height-correlated, anisotropic",
 }
 
 if __name__ == "__main__":
