@@ -37,6 +37,9 @@ LAWS = {
     "dielectric_average": "optics.laws",
     "phong_lobe": "bsdf.laws",
     "blinn_lobe": "bsdf.laws",
+    "beckmann_g1": "bsdf.facet_laws",
+    "ggx_visibility": "bsdf.facet_laws",
+    "ggx_d": "bsdf.facet_laws",
 }
 
 

@@ -90,27 +90,29 @@ def draw(rng: Any, count: int, about_half: bool) -> dict[str, Any]:
 def _candidates(rng: Any, count: int, about_half: bool) -> Any:
     exponent = np.exp(rng.uniform(*np.log(EXPONENTS), count))
     cosine = np.exp(rng.uniform(np.log(DIMMEST), 0.0, count) / exponent)
-    wo, n = (_directions(rng.normal(size=(count, 3))) for _ in range(2))
-    wo *= np.sign(_inner(wo, n))
-    middle = n if about_half else 2.0 * _inner(n, wo) * n - wo
-    lobe = _turned(rng, middle, cosine)
-    wi = 2.0 * _inner(lobe, wo) * lobe - wo if about_half else lobe
-    keep = (_inner(wi, n) > GRAZING) & (_inner(wo, n) > GRAZING)
+    wo, n = (directions(rng.normal(size=(count, 3))) for _ in range(2))
+    wo *= np.sign(inner(wo, n))
+    middle = n if about_half else 2.0 * inner(n, wo) * n - wo
+    lobe = turned(rng, middle, cosine)
+    wi = 2.0 * inner(lobe, wo) * lobe - wo if about_half else lobe
+    keep = (inner(wi, n) > GRAZING) & (inner(wo, n) > GRAZING)
     return np.concatenate([wi, wo, n, exponent[:, None]], 1)[keep[:, 0]]
 
 
-def _turned(rng: Any, axis: Any, cosine: Any) -> Any:
+def turned(rng: Any, axis: Any, cosine: Any) -> Any:
     """Directions at this cosine to the axis, on any side of it."""
     across = rng.normal(size=axis.shape)
-    across = _directions(across - _inner(across, axis) * axis)
+    across = directions(across - inner(across, axis) * axis)
     return cosine[:, None] * axis + np.sqrt((1.0 - cosine) * (1.0 + cosine))[:, None] * across
 
 
-def _directions(v: Any) -> Any:
+def directions(v: Any) -> Any:
+    """Rows to unit length."""
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def _inner(a: Any, b: Any) -> Any:
+def inner(a: Any, b: Any) -> Any:
+    """Of rows ``[N, 3]``, as ``[N, 1]``."""
     return (a * b).sum(1, keepdims=True)
 
 

@@ -60,7 +60,12 @@ class Plain:
     """The arithmetic ``m`` of tensors as they come, in which a textbook's formula is what a user pastes."""
 
     pi = math.pi
-    sqrt, exp, where, power = torch.sqrt, torch.exp, torch.where, torch.pow
+    exp, where, power, erf = torch.exp, torch.where, torch.pow, torch.erf
+
+    @staticmethod
+    def sqrt(x: Any) -> Any:
+        """Of numbers, too."""
+        return torch.sqrt(x) if isinstance(x, Tensor) else math.sqrt(x)
 
     @staticmethod
     def log(x: Any) -> Any:
