@@ -23,6 +23,7 @@ from torchbrdf.testing.instances import of_class
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 import rst  # noqa: E402
+from make_pictures import PICTURES  # noqa: E402
 
 NOTICE = "<!-- Written by docs/make_tables.py from the code: change the docstrings and declarations there, then run it. -->"
 MODELS_HEAD = (
@@ -78,7 +79,9 @@ def albedo_of(cls: type[Any]) -> str:
     """How a class comes by its directional albedo."""
     if is_of_parts(cls):
         return "from its parts"
-    closed = "albedo_at" in vars(cls) or all(lobe.is_delta for lobe in lobes_of(cls))
+    own = vars(cls).get("albedo_at")
+    by_nodes = own is None or (own.__doc__ or "").startswith("By quadrature")
+    closed = not by_nodes or all(lobe.is_delta for lobe in lobes_of(cls))
     return "in closed form" if closed else f"by quadrature, {ALBEDO_ORDER} x {ALBEDO_ORDER} nodes"
 
 
@@ -110,6 +113,8 @@ def sections(classes: tuple[type[Any], ...]) -> list[str]:
         seen.add(module.__name__)
         text = cls.__doc__ if shared else module.__doc__
         made += [f"### {cls.__name__}", rst.to_markdown(inspect.cleandoc(text or ""), drop="parameter"), parameter_table(cls)]
+        if cls.__name__ in PICTURES:
+            made.append(f"![{cls.__name__}: {PICTURES[cls.__name__][0]}](images/model-{cls.__name__}.png)")
         made.append(f"Code: `{path_of(module)}`")
     return made
 
