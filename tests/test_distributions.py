@@ -89,7 +89,7 @@ def test_blinn_is_a_power_of_the_cosine():
 
 def test_energy_by_shadowing():
     """Light is lost, never made; but with Blinn's distribution and a Lambda that is not its own, as its page says."""
-    w = at_angles(0.0, 60.0, 85.0, 89.9)
+    w = at_angles(0.0, 60.0, 85.0)
     for kind, shadowing in itertools.product(("ggx", "beckmann", "blinn"), ("smith_correlated", "smith_separable", "v_cavity")):
         for alpha in (0.1, 0.5, 1.0):
             albedo = tb.RoughConductor(alpha, distribution=kind, shadowing=shadowing).directional_albedo(w, order=96)
@@ -135,7 +135,7 @@ def test_what_is_refused():
         tb.GGX([0.1, 0.2, 0.3])
     with pytest.raises(ValueError, match=r"RoughConductor.alpha: expected shape \[..., 1\], or \[..., 2\]"):
         tb.RoughConductor([0.1, 0.2, 0.3])
-    with pytest.raises(ValueError, match="RoughConductor.smith: found 'walter' beside 'ggx'"):
+    with pytest.raises(ValueError, match=r"RoughConductor.smith: found 'walter' beside 'ggx'"):
         tb.RoughConductor(0.1, smith="walter")
     for field in ("distribution", "shadowing", "smith"):
         with pytest.raises(ValueError, match=rf"RoughConductor.{field}: found 'gauss'"):
