@@ -1,10 +1,10 @@
 r"""The facet that refracts wi into wo, and what it lets through, without cancellation (Walter et al. 2007, sec. 4.2).
 
-Its normal lies along :math:`H = n_i\omega_i + n_o\omega_o`, with 1 outside and n inside. Of :math:`a = |\omega_i + \omega_o|^2/2` and
-:math:`\delta = |n - 1|`, q and r the larger and the smaller of n and 1: H makes :math:`\delta - qa` with the direction in the thinner medium,
-:math:`\delta + ra` with the other, and :math:`|H|^2 = \delta^2 + 2na`. There is a facet where the first is positive: total reflection
-does not occur. With the cosines c (thin) and d (dense) of the facet, the transmittance is
-:math:`1 - F = 2n\,cd\,\big((rc + qd)^{-2} + (qc + rd)^{-2}\big)`.
+Its normal m lies along :math:`H = n_i\omega_i + n_o\omega_o`, with the index 1 outside and n inside. Let :math:`\delta = |n - 1|`,
+:math:`a = |\omega_i + \omega_o|^2/2`, q the larger of n and 1 and r the smaller. Then :math:`|H|^2 = \delta^2 + 2na`, and the products of
+H with the two directions are :math:`\delta - qa` in the thinner medium and :math:`\delta + ra` in the denser one. There is a facet where
+the first is positive; total reflection does not occur. Of the cosines c (thinner) and d (denser) at the facet,
+:math:`1 - F = 2n\,cd\,\big((rc + qd)^{-2} + (qc + rd)^{-2}\big)`. Near eta = 1 only :math:`\delta - qa` cancels, as it must.
 """
 
 from collections.abc import Callable
@@ -55,12 +55,12 @@ class Refraction(NamedTuple):
 
     @property
     def wi_m(self) -> Tensor:
-        """\|wi.m\|"""
+        """The cosine of wi and the facet, without its sign."""
         return torch.where(self.n_i < self.n_o, self.thin, self.dense)
 
     @property
     def wo_m(self) -> Tensor:
-        """\|wo.m\|"""
+        """That of wo."""
         return torch.where(self.n_i < self.n_o, self.dense, self.thin)
 
     @property

@@ -77,11 +77,9 @@ class RoughDielectric(Bsdf):
 
     variants = (
         {"distribution": "ggx"},
-        {"shadowing": "smith_separable", "mode": "flux"},
-        {"shadowing": "v_cavity"},
-        {"distribution": "beckmann"},
-        {"distribution": "beckmann", "smith": "walter", "alpha": (0.4, 0.15)},
-        {"distribution": "blinn", "part": "reflection"},
+        {"distribution": "beckmann", "shadowing": "v_cavity", "mode": "flux"},
+        {"distribution": "beckmann", "shadowing": "smith_separable", "smith": "walter", "alpha": (0.4, 0.15)},
+        {"distribution": "blinn", "alpha": (0.3, 0.6), "part": "reflection"},
         {"part": "transmission"},
     )
 
@@ -167,7 +165,7 @@ class RoughDielectric(Bsdf):
 
     @staticmethod
     def textbook(m: Any, p: Any, alpha: Any, eta: Any, distribution: str, shadowing: str, smith: str, mode: str, part: str) -> Any:
-        if isinstance(alpha, tuple) or smith == "walter":
+        if isinstance(alpha, tuple) or smith == "walter" or part != "both":
             return NotImplemented
         d, lam = DISTRIBUTIONS[distribution].textbook
         n_i, n_o = (m.where(m.positive(-1 * c), eta, 1) for c in (p.cos_i, p.cos_o))
@@ -185,8 +183,7 @@ class RoughDielectric(Bsdf):
         n = n_i if mode == "flux" else n_o
         jacobian = 4 * t.wi_h * t.wo_h * n * n / m.where(t.there, t.length2, 1)
         through = (1 - f_across) * jacobian * lobe(TEXTBOOK_ACROSS, t.cos2_h, t.cos_h, t.wi_h, t.wo_h)
-        back, through = m.where(same, back, 0), m.where(t.there, through, 0)
-        return {"both": back + through, "reflection": back, "transmission": through}[part]
+        return m.where(same, back, m.where(t.there, through, 0))
 
     # One side of the surface, and across it ------------------------------------------------------------------------------
 

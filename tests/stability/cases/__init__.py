@@ -1,5 +1,5 @@
 """The formulas, one room a file, as the package has them."""
 
-from . import derived, fresnel, interfaces, lobes, lookups, microfacet, models, vectors
+from . import derived, fresnel, interfaces, lobes, lookups, microfacet, models, refraction, vectors
 
-CASES = (*fresnel.CASES, *lobes.CASES, *microfacet.CASES, *vectors.CASES, *derived.CASES, *models.CASES, *interfaces.CASES, *lookups.CASES)
+CASES = (*fresnel.CASES, *lobes.CASES, *microfacet.CASES, *vectors.CASES, *derived.CASES, *models.CASES, *interfaces.CASES, *refraction.CASES, *lookups.CASES)
