@@ -2,4 +2,14 @@
 
 from . import derived, fresnel, interfaces, lobes, lookups, microfacet, models, refraction, vectors
 
-CASES = (*fresnel.CASES, *lobes.CASES, *microfacet.CASES, *vectors.CASES, *derived.CASES, *models.CASES, *interfaces.CASES, *refraction.CASES, *lookups.CASES)
+CASES = (
+    *fresnel.CASES,
+    *lobes.CASES,
+    *microfacet.CASES,
+    *vectors.CASES,
+    *derived.CASES,
+    *models.CASES,
+    *interfaces.CASES,
+    *refraction.CASES,
+    *lookups.CASES,
+)

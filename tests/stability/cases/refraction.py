@@ -68,7 +68,14 @@ def truth(p: Point, alpha: Any, eta: Any) -> Any:
 
 CASES = (
     dataclasses.replace(
-        case("RoughDielectric, refraction", SPECS, tb.RoughDielectric, truth, ("RoughDielectric",), inspect.getsource(tb.RoughDielectric.textbook)),
+        case(
+            "RoughDielectric, refraction",
+            SPECS,
+            tb.RoughDielectric,
+            truth,
+            ("RoughDielectric",),
+            inspect.getsource(tb.RoughDielectric.textbook),
+        ),
         grid=grid,
         everyday=everyday,
     ),
