@@ -17,13 +17,15 @@ mode           "radiance", "flux"       whether radiance that crosses grows by (
 part           "both", "reflection"...  both lobes, or one of them alone ("transmission")
 =============  =======================  ==================================================================================
 
-``f_r`` on one side of the surface, either one, of h between both directions; ``f_t`` across it, of ``m`` along n_i wi + n_o wo, turned
-outside, where the viewer sees its front and the light its back. F is the exact law at the facet; a viewer below sees the inverse index.
-As of :class:`SmoothDielectric`, ``f(wi, wo)/n_o^2 = f(wo, wi)/n_i^2``, and ``mode="flux"`` drops the factor: it is the adjoint f(wo, wi).
+``f_r`` on one side of the surface, either one, of h between both directions. ``f_t`` across it, of ``m`` along n_i wi + n_o wo, turned
+outside: 0 unless m.n > 0 and each direction sees this facet from its own side of the surface. F is the exact law at the facet; a viewer
+below sees the inverse index. As of :class:`SmoothDielectric`, ``f(wi, wo)/n_o^2 = f(wo, wi)/n_i^2``, and ``mode="flux"`` drops the factor:
+it is the adjoint, f(wo, wi).
 
-``G'`` across is Smith's G1(wi) G1(wo), as of Walter et al. and Mitsuba, for both of Smith's names: heights that are correlated would be
-lit from one side where they are hidden from the other, B(1 + Lambda_i, 1 + Lambda_o) (Heitz et al. 2016), which is less, and is not here.
-Of V-cavities both are the least of 1, 2 n.m n.wi/wi.m and 2 n.m n.wo/wo.m. Single scattering: light that meets a second facet is lost.
+``G'`` is Smith's G1(wi) G1(wo) for both of Smith's names, as of Walter et al. and Mitsuba. Correlated heights would give
+B(1 + Lambda_i, 1 + Lambda_o) (Heitz et al. 2016), for what is high is lit from above and hidden from below; that lets less through, at
+80 degrees by 2 % (alpha = 0.3) or half (alpha = 1). ``"v_cavity"`` is the least of 1, 2 n.m n.wi/wi.m and 2 n.m n.wo/wo.m, all without
+sign. Single scattering: light that meets a second facet is lost, from below more than from above.
 
 At eta = 1 there is no surface: nothing is reflected, and all goes straight on, a delta that this does not give: f is 0. One index for
 all channels. Not smooth at the horizon, where facets are seen edge-on, nor at the critical angle and the ridges of V-cavities.

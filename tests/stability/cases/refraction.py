@@ -58,7 +58,8 @@ def everyday(x: Columns) -> Any:
     f = model.evaluate(*map(torch.from_numpy, (wi, wo, n))).squeeze(-1).numpy()
     cosines = np.minimum(np.abs((wi * n).sum(1)), np.abs((wo * n).sum(1)))
     seen = ((at.there > 0) & (at.transmitted > 0.1) & (at.cos_n > 0.1)).numpy()
-    typical = (x["alpha"] >= 0.1) & (x["eta"] >= 1.2) & (x["eta"] <= 2.5)
+    near_one = np.logical_and.reduce([np.abs(np.linalg.norm(stacked(x, k), axis=1) - 1) < 0.5 for k in ("wi", "wo", "n")])
+    typical = near_one & (x["alpha"] >= 0.1) & (x["eta"] >= 1.2) & (x["eta"] <= 2.5)
     return typical & seen & (cosines > 0.05) & (f > FEW * straight)
 
 
