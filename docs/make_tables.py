@@ -78,7 +78,8 @@ def albedo_of(cls: type[Any]) -> str:
     """How a class comes by its directional albedo."""
     if is_of_parts(cls):
         return "from its parts"
-    closed = "albedo_at" in vars(cls) or all(lobe.is_delta for lobe in lobes_of(cls))
+    by_quadrature = "quadrature" in f"{cls.albedo_at.__doc__}"
+    closed = ("albedo_at" in vars(cls) and not by_quadrature) or all(lobe.is_delta for lobe in lobes_of(cls))
     return "in closed form" if closed else f"by quadrature, {ALBEDO_ORDER} x {ALBEDO_ORDER} nodes"
 
 

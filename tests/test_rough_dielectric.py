@@ -136,13 +136,15 @@ def test_a_facet_transmits_what_it_does_not_reflect(eta):
 def test_facets_seen_from_behind_do_nothing():
     """Both directions across the surface, but their facet lies the other way, or one of them is behind it."""
     eta, model = 1.5, glass(1.0)
-    wo = tb.normalize(torch.tensor([0.6, 0.0, 0.2], dtype=DOUBLE))
-    for wi, why in (([0.9, 0.0, -0.1], "n.m < 0"), ([0.3, 0.3, -0.9], "beyond the critical angle of any facet")):
-        wi = tb.normalize(torch.tensor(wi, dtype=DOUBLE))
-        h = -(eta * wi + wo)
-        assert h[2] <= 0 or wo @ h <= 0 or wi @ h >= 0, why
-        assert model.evaluate(wi, wo).item() == 0.0
-        assert model.pdf(wi, wo).item() == 0.0
+    leaning = ([-0.99, 0.0, -0.127], [0.95, 0.0, 0.3], (True, True, False))  # of a facet that faces away from the normal
+    steep = ([0.3, 0.3, -0.9], [0.6, 0.0, 0.2], (False, True, True))  # more than any facet bends
+    for wi, wo, expected in (leaning, steep):
+        wi, wo = (tb.normalize(torch.tensor(w, dtype=DOUBLE)) for w in (wi, wo))
+        m = -(eta * wi + wo)
+        assert (bool(wo @ m > 0), bool(wi @ m < 0), bool(m[2] > 0)) == expected
+        for model in (glass(1.0), glass(1.0, distribution="beckmann"), glass(1.0, mode="flux")):
+            assert model.evaluate(wi, wo).item() == model.evaluate(wo, wi).item() == 0.0
+            assert model.pdf(wi, wo).item() == 0.0
     at = Refraction.of(model.geometry(*anything()), torch.tensor(eta, dtype=DOUBLE))
     assert 0 < at.there.mean() < 0.5
 
