@@ -13,6 +13,7 @@ BSDFS = {
     "BlinnPhong": "bsdf.blinn_phong",
     "Mirror": "bsdf.mirror",
     "RoughConductor": "bsdf.rough_conductor",
+    "RoughDielectric": "bsdf.rough_dielectric",
     "SmoothDielectric": "bsdf.smooth_dielectric",
     "Sum": "bsdf.combine",
     "Scaled": "bsdf.combine",

@@ -58,8 +58,8 @@ def summed(bsdf: Bsdf, viewer: Viewer, nodes: Tensor, part: Callable[[Tensor], C
 
 def _leaving(bsdf: Bsdf, viewer: Viewer, u: Vec, weights: Tensor) -> Channels:
     there = Geometry(viewer, bsdf.draw(viewer, u).wi)
-    transmits = any(lobe.transmits for lobe in bsdf.lobes)
-    g = there if bsdf.reciprocal and not transmits else there.swapped
+    back = bsdf.reciprocal and not any(lobe.transmits for lobe in bsdf.lobes)  # what is received along w is what is sent there
+    g = there if back or bsdf.is_adjoint else there.swapped
     inside = bsdf.domain(g)
     factor = torch.where(inside, there.cos_i.abs() * inverse_density(bsdf.density(there)), 0.0) * weights
     return tuple((f * factor).sum(0) for f in bsdf.formula(g))

@@ -101,6 +101,15 @@ class Bsdf(Value):
         """The albedo ``[..., C]`` of a model that is ``albedo / pi`` at every pair of directions above the horizon; None of any other."""
         return None
 
+    def exchange(self, g: Geometry) -> Tensor:
+        """f(wi, wo) / f(wo, wi) ``[...]`` of a reciprocal model: 1, unless the directions are in different media."""
+        return torch.ones_like(g.cos_i)
+
+    @property
+    def is_adjoint(self) -> bool:
+        """Whether ``evaluate(wi, wo)`` is f(wo, wi) of radiance, as of what is traced from the light: that of models in flux mode."""
+        return getattr(self, "mode", "") == "flux" or any(v.is_adjoint for v in self.nested() if isinstance(v, Bsdf))
+
     def kink_distance(self, g: Geometry) -> Tensor:
         """How far ``[...]`` (in cosines) a geometry is from where f is not smooth: from the horizon, unless a model adds to it.
 

@@ -53,6 +53,10 @@ class Sum(Bsdf):
     def lambertian(self) -> Tensor | None:
         return _total([t.lambertian for t in self.terms])
 
+    def exchange(self, g: Geometry) -> Tensor:
+        """That of the term that lets light through: the terms are one surface, between the same two media."""
+        return next((t for t in self.terms if any(lobe.transmits for lobe in t.lobes)), self.terms[0]).exchange(g)
+
     def kink_distance(self, g: Geometry) -> Tensor:
         return nearest(*(t.kink_distance(g) for t in self.terms))
 
@@ -149,6 +153,9 @@ class Scaled(Bsdf):
     def lambertian(self) -> Tensor | None:
         albedo = self.inner.lambertian
         return None if albedo is None else torch.mul(*parameters.alike(albedo, self.factor))
+
+    def exchange(self, g: Geometry) -> Tensor:
+        return self.inner.exchange(g)
 
     def kink_distance(self, g: Geometry) -> Tensor:
         return self.inner.kink_distance(g)

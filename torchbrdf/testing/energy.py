@@ -55,7 +55,11 @@ def leaving(bsdf: Bsdf, w: Tensor, rng: torch.Generator, tolerance: float = TOLE
     """The part ``[V, C]`` of light arriving along ``w [V, 3]`` that leaves again, delta lobes apart, and a bound ``[V]`` of its error."""
     if spread(bsdf) is None:
         return torch.zeros(len(w), bsdf.channels, dtype=w.dtype), torch.zeros(len(w), dtype=w.dtype)
-    cells = integral(lambda out, w: bsdf.evaluate(w, out) * out[:, 2:].abs(), w, *pilots(bsdf, w, rng), tolerance)
+
+    def sent(out: Tensor, w: Tensor) -> Tensor:
+        return (bsdf.evaluate(out, w) if bsdf.is_adjoint else bsdf.evaluate(w, out)) * out[:, 2:].abs()
+
+    cells = integral(sent, w, *pilots(bsdf, w, rng), tolerance)
     return cells.total(cells.value), cells.error
 
 

@@ -13,7 +13,7 @@ slot as a function of a cosine, a parameter of several numbers as a tuple. ``Not
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -86,6 +86,31 @@ class Point:
         apart = tuple(2 * self.cos_o * a - b for a, b in zip(n, half, strict=True))
         self.mirror_complement = dot(apart, apart) / 2
         self.cos_mirror = 1 - self.mirror_complement
+        self.m, self.wi, self.wo, self.n = m, wi, wo, n
+
+    def facet_across(self, n_i: Any, n_o: Any) -> "FacetAcross":
+        """The facet that refracts one direction into the other, between media of these indices (Walter et al. 2007, eq. 16)."""
+        m = self.m
+        h = tuple(n_i * a + n_o * b for a, b in zip(self.wi, self.wo, strict=True))
+        length2, side, cos_h = dot(h, h), cross(self.n, h), dot(self.n, h)
+        up = m.where(m.positive(cos_h), 1, -1)
+        wi_h, wo_h, cos_h = up * dot(self.wi, h), up * dot(self.wo, h), up * cos_h
+        seen = m.positive(wi_h * self.cos_i) & m.positive(wo_h * self.cos_o) & m.positive(cos_h) & m.positive(-1 * self.cos_i * self.cos_o)
+        wi_h, wo_h = (m.where(m.positive(c), c, -1 * c) for c in (wi_h, wo_h))
+        length2 = m.where(m.positive(length2), length2, 1)
+        wi_h, wo_h, cos_h = (x / m.sqrt(length2) for x in (wi_h, wo_h, cos_h))
+        return FacetAcross(seen, wi_h, wo_h, cos_h, 1 - dot(side, side) / length2, length2)
+
+
+class FacetAcross(NamedTuple):
+    """A facet h that refracts; no cosine is below 0."""
+
+    there: Any  # a mask: the directions are on different sides of the surface, and see the facet from there
+    wi_h: Any
+    wo_h: Any
+    cos_h: Any
+    cos2_h: Any
+    length2: Any  # |n_i wi + n_o wo|^2
 
 
 def dot(a: Any, b: Any) -> Any:

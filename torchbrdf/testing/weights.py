@@ -56,7 +56,7 @@ def mean_weight(subject: Any, rng: torch.Generator, thorough: bool = False) -> O
 def _standard_errors(bsdf: Bsdf, wo: Tensor, u: Tensor) -> float:
     s = bsdf.sample(wo, u)
     # Of power: radiance grows by the square of the index across an interface, unless the model counts flux.
-    weight = s.weight if getattr(bsdf, "mode", "") == "flux" else s.weight * s.eta * s.eta
+    weight = s.weight if bsdf.is_adjoint else s.weight * s.eta * s.eta
     # 2e-3: twice the stated error of directional_albedo's quadrature, relative to the brightest channel
     floor = 2e-3 * max(1.0, float(weight.mean(0).max())) / STANDARD_ERRORS
     error = (weight.mean(0) - bsdf.directional_albedo(wo)).abs()
