@@ -18,6 +18,7 @@ BSDFS = {
     "Scaled": "bsdf.combine",
     "TwoSided": "bsdf.two_sided",
     "Coated": "bsdf.coated",
+    "CookTorrance": "bsdf.cook_torrance",
 }
 FRESNEL_TERMS = {
     "Dielectric": "optics.fresnel",
