@@ -19,6 +19,7 @@ BSDFS = {
     "TwoSided": "bsdf.two_sided",
     "Coated": "bsdf.coated",
     "CookTorrance": "bsdf.cook_torrance",
+    "Principled": "bsdf.principled",
 }
 FRESNEL_TERMS = {
     "Dielectric": "optics.fresnel",

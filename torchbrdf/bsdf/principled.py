@@ -1,0 +1,298 @@
+r"""One material of everyday parameters, under the names of glTF and OpenPBR: a metal or a glossy diffuse base, and a clear coat.
+
+.. math::
+    f = T_c(\theta_i)\,T_c(\theta_o) \Big[ F(\omega_i \cdot h)\, \frac{D\,G}{4 \cos\theta_i \cos\theta_o} + (1 - m)\,
+    \frac{\rho}{\pi} \frac{T(\theta_i)\, T(\theta_o)}{1 - \bar F} \Big] + c\, F_c(\omega_i \cdot h)\, \frac{D_c\, G_c}{4 \cos\theta_i \cos\theta_o}
+
+===============  ==========================  ==========================================================================
+parameter        unit, range                 meaning
+===============  ==========================  ==========================================================================
+base_color       [..., C] in [0, 1]          :math:`\rho`: albedo of the base, and reflectance of the metal at normal incidence
+metallic         [..., 1] in [0, 1]          m, the share of metal
+roughness        [..., 1] in (0, 1]          of metal and base: GGX of alpha = roughness^2
+ior              [..., 1] >= 1               index of refraction of the dielectric
+specular         [..., 1] in [0, 1]          s, the strength of the dielectric's reflection
+anisotropy       [..., 1] in [0, 1]          alpha along the tangent / aspect, across times it; aspect = sqrt(1 - 0.9 anisotropy)
+coat             [..., 1] in [0, 1]          c, the share that has a clear coat
+coat_roughness   [..., 1] in (0, 1]          of the coat: GGX of alpha = coat_roughness^2
+coat_ior         [..., 1] >= 1               index of refraction of the coat
+shadowing        a name                      G, ``"smith_correlated"`` or ``"smith_separable"``
+off              names                       what has no strength and is not computed, below; found by itself
+parts            names                       the lobes that are evaluated, of those there are; None: all
+===============  ==========================  ==========================================================================
+
+With :math:`p(\theta) = (1 - \cos\theta)^5` all reflectances are Schlick's: :math:`F = m\,(\rho + (1-\rho)\,p) + (1-m)\,s\,(f_0 + (1-f_0)\,p)`,
+one lobe for metal and dielectric, :math:`f_0 = ((ior-1)/(ior+1))^2`; :math:`F_c` likewise of coat_ior. What the interface reflects, the
+base does not get: :math:`T = 1 - s\,(f_0 + (1-f_0)\,p)` and :math:`\bar F = s\,(f_0 + (1-f_0)/23)`. With 21 in place of 23 it would be the mean
+of F, and the diffuse albedo exactly :math:`\rho\,T` (Shirley et al. 1997); rough facets reflect up to 0.0025 more than a smooth interface,
+and the base is up to 0.4 % darker so that no energy is made. :math:`T_c = 1 - c\,F_c(\theta)`: what enters and leaves through the coat,
+returns from below it left out. So f is reciprocal and the directional albedo at most 1; light that meets a second facet is lost.
+
+**What is zero costs nothing.** ``metallic``, ``specular``, ``anisotropy`` or ``coat`` given as the number 0, or ``metallic`` as 1, take
+what they make zero out of the model, its lobes and its sampler; ``off`` names them (``"dielectric"``: metallic is 1). Tensors of one
+number count as numbers if they can be looked at (not in graphs and transforms, nor on other devices) and require no gradient: what is
+learned stays. ``tb.nn.Material`` decides when it is made.
+
+===========================  ======================================  ===================================================================
+beside                       the same                                otherwise
+===========================  ======================================  ===================================================================
+glTF 2.0, its extensions     names, alpha, f_0, metal, the specular  the base is weighted by 1 - F(wi.h) there, which makes energy (up
+                             lobe                                    to 1.9 at grazing); anisotropy is another formula
+OpenPBR 1.1                  names but base\_metalness,              exact Fresnel, Oren-Nayar, layers by their albedos; specular
+                             specular\_ior, ...\_weight; alpha       changes f_0 alone; anisotropy is another formula
+Burley 2012, Mitsuba's       alpha, anisotropy; a metal with         base with retro-reflection, exact Fresnel, coat of GTR1 at a
+principled                   ``shadowing="smith_separable"`` is      quarter of its strength, over an unweakened base; energy is made.
+                             Mitsuba's to rounding                   spec\_tint, flatness, sheen, spec\_trans are not here
+===========================  ======================================  ===================================================================
+
+Not smooth at the horizon, and for wi = -wo. Sources: Burley 2012; glTF 2.0, appendix B; Shirley, Hu, Smits & Lafortune 1997.
+
+>>> import torch, torchbrdf as tb
+>>> tb.Principled([0.8, 0.2, 0.1]).lobes == (tb.Lobe.DIFFUSE_REFLECTION, tb.Lobe.GLOSSY_REFLECTION)
+True
+>>> tb.Principled([0.8, 0.2, 0.1], metallic=1, coat=0.5).off
+('dielectric', 'anisotropy')
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, Self
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+from .. import arguments, numerics, sampling
+from ..geometry import Channels, Geometry, Viewer, each
+from ..interval import UNIT, Interval
+from ..value import COLOUR, SCALAR, param, value
+from ..vector import Vec
+from .base import Bsdf, nearest
+from .combine import either
+from .lobe import Draw, Lobe
+from .rough_conductor import RoughConductor
+from .sampler import normalised
+from .schlick_layer import Cover, Gloss, alpha_of
+
+ROUGHNESS = Interval(0.0, 1.0, open_low=True, typical=(0.3, 1.0), hard=(0.01,))
+INDEX = Interval(1.0, typical=(1.2, 2.5), hard=(10.0,), flat=(1.0,))
+LOBES = {"diffuse": Lobe.DIFFUSE_REFLECTION, "specular": Lobe.GLOSSY_REFLECTION, "coat": Lobe.GLOSSY_REFLECTION}
+# What is off, and the parameter and the value that say so.
+SWITCHES = {"metal": ("metallic", 0), "dielectric": ("metallic", 1), **{n: (n, 0) for n in ("specular", "anisotropy", "coat")}}
+
+
+@value
+class Principled(Bsdf):
+    """A metal or a glossy diffuse base with a clear coat, of which what is zero costs nothing."""
+
+    base_color: Tensor = param(UNIT, COLOUR, "albedo of the base, and reflectance of the metal at normal incidence")
+    metallic: Tensor = param(UNIT, SCALAR, "share of metal", default=0.0)
+    roughness: Tensor = param(ROUGHNESS, SCALAR, "of metal and base; alpha is its square", default=0.5)
+    ior: Tensor = param(INDEX, SCALAR, "index of refraction of the dielectric", default=1.5)
+    specular: Tensor = param(UNIT, SCALAR, "strength of the dielectric's reflection", default=1.0)
+    anisotropy: Tensor = param(UNIT, SCALAR, "0: none; 1: alpha along the tangent is ten times that across", default=0.0)
+    coat: Tensor = param(UNIT, SCALAR, "share that has a clear coat", default=0.0)
+    coat_roughness: Tensor = param(ROUGHNESS, SCALAR, "of the coat; alpha is its square", default=0.03)
+    coat_ior: Tensor = param(INDEX, SCALAR, "index of refraction of the coat", default=1.5)
+    shadowing: str = "smith_correlated"
+    off: tuple[str, ...] | None = None
+    parts: tuple[str, ...] | None = None
+
+    variants = (
+        {"shadowing": "smith_correlated"},
+        {"metallic": 0.0, "anisotropy": 0.0, "coat": 0.0},
+        {"metallic": 1.0, "anisotropy": 0.0},
+        {"specular": 0.0, "anisotropy": 0.0, "shadowing": "smith_separable"},
+    )
+
+    def __post_init__(self) -> None:
+        off = known_off({name: getattr(self, name) for name in self._fields}) if self.off is None else tuple(self.off)
+        for name in off:
+            arguments.one_of(name, "Principled.off", SWITCHES)
+        object.__setattr__(self, "off", off)
+        super().__post_init__()
+        arguments.one_of(self.shadowing, "Principled.shadowing", ("smith_correlated", "smith_separable"))
+        if self.parts is not None:
+            object.__setattr__(self, "parts", tuple(self.parts))
+            if not self.names or len(self.names) < len(self.parts):
+                there = tuple(self.replace(parts=None).names)
+                raise ValueError(f"Principled.parts: found {self.parts}, of this material there are {there}")
+
+    @classmethod
+    def decides(cls, name: str, given: Any) -> bool:
+        return any(name == field and is_known(given, x) for field, x in SWITCHES.values())
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some fields changed; what that takes out or brings in is found again."""
+        kept = tuple(x for x in self.off or () if SWITCHES[x][0] not in changes)
+        return super().replace(**{"off": kept + known_off(changes), **changes})
+
+    # What there is ------------------------------------------------------------------------------------------------------
+
+    def has(self, name: str) -> bool:
+        """Whether something is not known to be off."""
+        return name not in (self.off or ())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the lobes."""
+        dielectric = self.has("dielectric")
+        gloss = self.has("metal") or (dielectric and self.has("specular"))
+        there = (("diffuse", dielectric), ("specular", gloss), ("coat", self.has("coat")))
+        return tuple([n for n, is_there in there if is_there and (self.parts is None or n in self.parts)])
+
+    @property
+    def lobes(self) -> tuple[Lobe, ...]:  # type: ignore[override]
+        return tuple([LOBES[n] for n in self.names])
+
+    def select(self, wanted: Lobe) -> Bsdf | None:
+        kept = tuple([n for n in self.names if LOBES[n].serves(wanted)])
+        return self if kept == self.names else self.replace(parts=kept) if kept else None
+
+    # What is computed ---------------------------------------------------------------------------------------------------
+
+    def formula(self, g: Geometry) -> Channels:
+        found = [self._base(name, g) for name in self.names if name != "coat"]
+        if self.has("coat") and found:
+            through = self._over(g.viewer) * self._coat_cover(g.viewer).through(g.cos_i)
+            found = [tuple(f * through for f in channels) for channels in [_total(found)]]
+        if "coat" in self.names:
+            found.append(self._coat(g.viewer).formula(g))
+        return _total(found)
+
+    def _base(self, name: str, g: Geometry) -> Channels:
+        """A lobe below the coat."""
+        if name == "specular":
+            return self._gloss(g.viewer).formula(g)
+        cover = self._cover(g.viewer)
+        return self._albedo(g.viewer) if cover is None else tuple(a * cover.through(g.cos_i) for a in self._albedo(g.viewer))
+
+    def density(self, g: Geometry) -> Tensor:
+        total = torch.zeros_like(g.cos_i + g.cos_o)
+        for share, name in zip(self._shares(g.viewer), self.names, strict=True):
+            total = total + share * (numerics.positive(g.cos_i) * (1.0 / math.pi) if name == "diffuse" else self._facets(name, g.viewer).density(g))
+        return total
+
+    def draw(self, viewer: Viewer, u: Vec) -> Draw:
+        """Choose a lobe with ``u.z``, and draw from it."""
+        chosen, rest = sampling.choose(u.z, self._shares(viewer))
+        numbers, found = Vec(u.x, u.y, rest), None
+        for k, (mask, name) in enumerate(zip(chosen, self.names, strict=True)):
+            drawn = Draw(sampling.cosine_hemisphere(u.x, u.y)) if name == "diffuse" else self._facets(name, viewer).draw(viewer, numbers)
+            drawn = drawn._replace(lobe=k)
+            found = drawn if found is None else either(mask, drawn, found)
+        assert found is not None
+        return found
+
+    def strength(self, viewer: Viewer) -> Tensor:
+        return sum(self._strengths(viewer), torch.zeros_like(viewer.cos_o))
+
+    def albedo_at(self, viewer: Viewer, order: int) -> Channels:
+        """The sum of the lobes' albedos, each by quadrature of its own sampler."""
+        if len(self.names) == 1:
+            return super().albedo_at(viewer, order)
+        return _total([self.replace(parts=(name,)).albedo_at(viewer, order) for name in self.names])
+
+    def kink_distance(self, g: Geometry) -> Tensor:
+        """The horizon, and for glossy lobes where there is no half vector."""
+        found = super().kink_distance(g)
+        return found if self.names == ("diffuse",) else nearest(found, g.wi_h)
+
+    # What stands once for each viewer -----------------------------------------------------------------------------------
+
+    def _shares(self, viewer: Viewer) -> list[Tensor]:
+        made: list[Tensor] = viewer.once(self, lambda: normalised(self._strengths(viewer)), "lobes")
+        return made
+
+    def _strengths(self, viewer: Viewer) -> list[Tensor]:
+        """Of each lobe, about what it reflects."""
+        over = self._over(viewer) if self.has("coat") else 1.0
+        of = {
+            "diffuse": lambda: viewer.layout.mean(self._albedo(viewer)) * (math.pi * over),
+            "specular": lambda: self._gloss(viewer).strength(viewer) * (over * over),
+            "coat": lambda: self._coat(viewer).strength(viewer),
+        }
+        return [of[name]() for name in self.names]
+
+    def _cover(self, viewer: Viewer) -> Cover | None:
+        """The dielectric over the base."""
+        if not (self.has("specular") and self.has("dielectric")):
+            return None
+        made: Cover = viewer.once(self, lambda: Cover.of(viewer.scalar(self.ior), viewer.scalar(self.specular)), "cover")
+        return made
+
+    def _albedo(self, viewer: Viewer) -> Channels:
+        """f of the diffuse base, but for what the interface takes of the light."""
+
+        def compute() -> Channels:
+            cover = self._cover(viewer)
+            share = (1.0 / math.pi) * (1.0 - viewer.scalar(self.metallic)) if self.has("metal") else 1.0 / math.pi
+            share = share if cover is None else cover.through(viewer.cos_o) / cover.mean * share
+            return tuple(a * share for a in viewer.colour(self.base_color))
+
+        made: Channels = viewer.once(self, compute, "albedo")
+        return made
+
+    def _gloss(self, viewer: Viewer) -> Gloss:
+        """The lobe of metal and dielectric together."""
+        made: Gloss = viewer.once(self, lambda: Gloss(self._facets("specular", viewer), *self._reflectance(viewer)), "gloss")
+        return made
+
+    def _reflectance(self, viewer: Viewer) -> tuple[Channels, Channels]:
+        """f0 and rise of Schlick's law."""
+        cover, colour = self._cover(viewer), viewer.colour(self.base_color)
+        if not self.has("metal") and cover is not None:
+            return (cover.f0,), (cover.rise,)
+        if not self.has("dielectric"):
+            return colour, tuple(1.0 - c for c in colour)
+        m = viewer.scalar(self.metallic)
+        metal = tuple(m * c for c in colour)
+        if cover is None:
+            return metal, tuple(m - c for c in metal)
+        f0, rise = ((1.0 - m) * x for x in cover)
+        return tuple(c + f0 for c in metal), tuple((m - c) + rise for c in metal)
+
+    def _facets(self, name: str, viewer: Viewer) -> RoughConductor:
+        """Mirrors with the roughness of the coat, or of what is below."""
+
+        def compute() -> RoughConductor:
+            anisotropy = self.anisotropy if name == "specular" and self.has("anisotropy") else None
+            roughness = self.coat_roughness if name == "coat" else self.roughness
+            return RoughConductor(alpha_of(roughness, anisotropy), shadowing=self.shadowing)
+
+        made: RoughConductor = viewer.once(self, compute, f"{name} facets")
+        return made
+
+    def _coat_cover(self, viewer: Viewer) -> Cover:
+        made: Cover = viewer.once(self, lambda: Cover.of(viewer.scalar(self.coat_ior), viewer.scalar(self.coat)), "coat cover")
+        return made
+
+    def _over(self, viewer: Viewer) -> Tensor:
+        """What leaves through the coat."""
+        made: Tensor = viewer.once(self, lambda: self._coat_cover(viewer).through(viewer.cos_o), "over")
+        return made
+
+    def _coat(self, viewer: Viewer) -> Gloss:
+        cover = self._coat_cover(viewer)
+        return Gloss(self._facets("coat", viewer), (cover.f0,), (cover.rise,))
+
+
+def known_off(given: Mapping[str, Any]) -> tuple[str, ...]:
+    """What is off by what is given for some parameters."""
+    return tuple([name for name, (field, x) in SWITCHES.items() if field in given and is_known(given[field], x)])
+
+
+def is_known(given: Any, x: int) -> bool:
+    """Whether what is given for a parameter is one number that can be looked at, requires no derivative, and is ``x``."""
+    if not isinstance(given, Tensor):
+        return isinstance(given, (int, float)) and given == x
+    if given.numel() != 1 or given.dim() > 1 or given.requires_grad or given.device.type != "cpu" or arguments.values_hidden(given):
+        return False
+    return forward_ad.unpack_dual(given).tangent is None and given.item() == x
+
+
+def _total(found: list[Channels]) -> Channels:
+    total = found[0]
+    for other in found[1:]:
+        total = each(torch.add, total, other)
+    return total
