@@ -70,6 +70,7 @@ from ..vector import Vec
 from .base import Bsdf, nearest
 from .combine import either
 from .lobe import Draw, Lobe
+from .principled_textbook import principled
 from .rough_conductor import RoughConductor
 from .sampler import normalised
 from .schlick_layer import Cover, Gloss, alpha_of
@@ -78,7 +79,14 @@ ROUGHNESS = Interval(0.0, 1.0, open_low=True, typical=(0.3, 1.0), hard=(0.01,))
 INDEX = Interval(1.0, typical=(1.2, 2.5), hard=(10.0,), flat=(1.0,))
 LOBES = {"diffuse": Lobe.DIFFUSE_REFLECTION, "specular": Lobe.GLOSSY_REFLECTION, "coat": Lobe.GLOSSY_REFLECTION}
 # What is off, and the parameter and the value that say so.
-SWITCHES = {"metal": ("metallic", 0), "dielectric": ("metallic", 1), **{n: (n, 0) for n in ("specular", "anisotropy", "coat")}}
+SWITCHES = {
+    "metal": ("metallic", 0),
+    "dielectric": ("metallic", 1),
+    "specular": ("specular", 0),
+    "partial": ("specular", 1),
+    "anisotropy": ("anisotropy", 0),
+    "coat": ("coat", 0),
+}
 
 
 @value
@@ -160,6 +168,10 @@ class Principled(Bsdf):
             found.append(self._coat(g.viewer).formula(g))
         return _total(found)
 
+    @staticmethod
+    def textbook(m: Any, p: Any, **fields: Any) -> Any:
+        return NotImplemented if fields["parts"] or "anisotropy" not in (fields["off"] or ()) else principled(m, p, fields)
+
     def _base(self, name: str, g: Geometry) -> Channels:
         """A lobe below the coat."""
         if name == "specular":
@@ -170,7 +182,9 @@ class Principled(Bsdf):
     def density(self, g: Geometry) -> Tensor:
         total = torch.zeros_like(g.cos_i + g.cos_o)
         for share, name in zip(self._shares(g.viewer), self.names, strict=True):
-            total = total + share * (numerics.positive(g.cos_i) * (1.0 / math.pi) if name == "diffuse" else self._facets(name, g.viewer).density(g))
+            total = total + share * (
+                numerics.positive(g.cos_i) * (1.0 / math.pi) if name == "diffuse" else self._facets(name, g.viewer).density(g)
+            )
         return total
 
     def draw(self, viewer: Viewer, u: Vec) -> Draw:
@@ -212,13 +226,14 @@ class Principled(Bsdf):
             "specular": lambda: self._gloss(viewer).strength(viewer) * (over * over),
             "coat": lambda: self._coat(viewer).strength(viewer),
         }
-        return [of[name]() for name in self.names]
+        return [numerics.positive(of[name]()) for name in self.names]  # seen from below some are negative
 
     def _cover(self, viewer: Viewer) -> Cover | None:
         """The dielectric over the base."""
         if not (self.has("specular") and self.has("dielectric")):
             return None
-        made: Cover = viewer.once(self, lambda: Cover.of(viewer.scalar(self.ior), viewer.scalar(self.specular)), "cover")
+        strength = self.specular if self.has("partial") else None
+        made: Cover = viewer.once(self, lambda: _cover(viewer, self.ior, strength), "cover")
         return made
 
     def _albedo(self, viewer: Viewer) -> Channels:
@@ -227,7 +242,7 @@ class Principled(Bsdf):
         def compute() -> Channels:
             cover = self._cover(viewer)
             share = (1.0 / math.pi) * (1.0 - viewer.scalar(self.metallic)) if self.has("metal") else 1.0 / math.pi
-            share = share if cover is None else cover.through(viewer.cos_o) / cover.mean * share
+            share = share if cover is None else cover.through(viewer.cos_o) * (cover.gain * share)
             return tuple(a * share for a in viewer.colour(self.base_color))
 
         made: Channels = viewer.once(self, compute, "albedo")
@@ -249,7 +264,7 @@ class Principled(Bsdf):
         metal = tuple(m * c for c in colour)
         if cover is None:
             return metal, tuple(m - c for c in metal)
-        f0, rise = ((1.0 - m) * x for x in cover)
+        f0, rise = (1.0 - m) * cover.f0, (1.0 - m) * cover.rise
         return tuple(c + f0 for c in metal), tuple((m - c) + rise for c in metal)
 
     def _facets(self, name: str, viewer: Viewer) -> RoughConductor:
@@ -264,7 +279,7 @@ class Principled(Bsdf):
         return made
 
     def _coat_cover(self, viewer: Viewer) -> Cover:
-        made: Cover = viewer.once(self, lambda: Cover.of(viewer.scalar(self.coat_ior), viewer.scalar(self.coat)), "coat cover")
+        made: Cover = viewer.once(self, lambda: _cover(viewer, self.coat_ior, self.coat), "coat cover")
         return made
 
     def _over(self, viewer: Viewer) -> Tensor:
@@ -289,6 +304,10 @@ def is_known(given: Any, x: int) -> bool:
     if given.numel() != 1 or given.dim() > 1 or given.requires_grad or given.device.type != "cpu" or arguments.values_hidden(given):
         return False
     return forward_ad.unpack_dual(given).tangent is None and given.item() == x
+
+
+def _cover(viewer: Viewer, index: Tensor, strength: Tensor | None) -> Cover:
+    return Cover.of(viewer.scalar(index), None if strength is None else viewer.scalar(strength))
 
 
 def _total(found: list[Channels]) -> Channels:

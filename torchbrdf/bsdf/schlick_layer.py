@@ -20,26 +20,29 @@ def grazing(cos: Tensor) -> Tensor:
 
 
 class Cover(NamedTuple):
-    """A smooth interface of some strength, above a base: reflectance f0 + rise p, as numbers."""
+    """A smooth interface above a base: reflectance f0 + rise p, as numbers."""
 
     f0: Tensor
     rise: Tensor
+    rest: Tensor | None  # 1 - f0; None: the same as rise, of an interface of full strength
 
     @staticmethod
-    def of(index: Tensor, strength: Tensor) -> "Cover":
-        """Of an index of refraction."""
+    def of(index: Tensor, strength: Tensor | None) -> "Cover":
+        """Of an index of refraction, and a strength of which None is 1."""
         root = (index - 1.0) / (index + 1.0)
         f0 = root * root
-        return Cover(strength * f0, strength * (1.0 - f0))
+        if strength is None:
+            return Cover(f0, 1.0 - f0, None)
+        return Cover(strength * f0, strength * (1.0 - f0), 1.0 - strength * f0)
 
     def through(self, cos: Tensor) -> Tensor:
-        """What is not reflected."""
-        return (1.0 - self.f0) - self.rise * grazing(numerics.unit_interval(cos))
+        """What is not reflected; of full strength over 1 - f0. (Below the horizon any number.)"""
+        return 1.0 - grazing(cos) if self.rest is None else self.rest - self.rise * grazing(cos)
 
     @property
-    def mean(self) -> Tensor:
-        """A bound of :meth:`through` averaged over diffuse light."""
-        return (1.0 - self.f0) - self.rise * MEAN
+    def gain(self) -> Tensor:
+        """Over :meth:`through` of both directions, so that diffuse light is let through as often as it should."""
+        return self.rise * (1.0 / (1.0 - MEAN)) if self.rest is None else 1.0 / (self.rest - self.rise * MEAN)
 
 
 class Gloss(NamedTuple):
@@ -56,7 +59,7 @@ class Gloss(NamedTuple):
 
     def strength(self, viewer: Viewer) -> Tensor:
         """The reflectance in the mirror direction, averaged over channels."""
-        p = grazing(numerics.unit_interval(viewer.cos_o))
+        p = grazing(viewer.cos_o)
         return viewer.layout.mean(each(lambda f0, rise: rise * p + f0, self.f0, self.rise))
 
 
