@@ -1,8 +1,8 @@
 r"""Cook and Torrance's model as published in 1982: a diffuse part, and mirror facets in V-shaped grooves.
 
 .. math::
-    f = s \, \frac{F(\omega_i \cdot h)}{\pi} \, \frac{D(h)\, G(\omega_i, \omega_o)}{\cos\theta_i \cos\theta_o} + (1 - s) \, \frac{\rho}{\pi}, \qquad
-    D = \sum_j w_j \frac{e^{-\tan^2\theta_h / m_j^2}}{m_j^2 \cos^4\theta_h}
+    f = s \, \frac{F(\omega_i \cdot h)}{\pi} \, \frac{D(h)\, G(\omega_i, \omega_o)}{\cos\theta_i \cos\theta_o}
+    + (1 - s) \, \frac{\rho}{\pi}, \qquad D = \sum_j w_j \frac{e^{-\tan^2\theta_h / m_j^2}}{m_j^2 \cos^4\theta_h}
 
 =============  ====================  ==========================================================================
 parameter      unit, range           meaning

@@ -1,66 +1,70 @@
 r"""One material of everyday parameters, under the names of glTF and OpenPBR: a metal or a glossy diffuse base, and a clear coat.
 
 .. math::
-    f = T_c(\theta_i)\,T_c(\theta_o) \Big[ F(\omega_i \cdot h)\, \frac{D\,G}{4 \cos\theta_i \cos\theta_o} + (1 - m)\,
-    \frac{\rho}{\pi} \frac{T(\theta_i)\, T(\theta_o)}{1 - \bar F} \Big] + c\, F_c(\omega_i \cdot h)\, \frac{D_c\, G_c}{4 \cos\theta_i \cos\theta_o}
+    f = T_c(\theta_i)\,T_c(\theta_o) \Big[ F(\omega_i \cdot h)\, \frac{D\,G}{4 \cos\theta_i \cos\theta_o}
+    + (1 - m)\, \frac{\rho}{\pi} \frac{T(\theta_i)\, T(\theta_o)}{1 - \bar F} \Big]
+    + F_c(\omega_i \cdot h)\, \frac{D_c\, G_c}{4 \cos\theta_i \cos\theta_o}
 
-===============  ==========================  ==========================================================================
-parameter        unit, range                 meaning
-===============  ==========================  ==========================================================================
-base_color       [..., C] in [0, 1]          :math:`\rho`: albedo of the base, and reflectance of the metal at normal incidence
-metallic         [..., 1] in [0, 1]          m, the share of metal
-roughness        [..., 1] in (0, 1]          of metal and base: GGX of alpha = roughness^2
-ior              [..., 1] >= 1               index of refraction of the dielectric
-specular         [..., 1] in [0, 1]          s, the strength of the dielectric's reflection
-anisotropy       [..., 1] in [0, 1]          alpha along the tangent / aspect, across times it; aspect = sqrt(1 - 0.9 anisotropy)
-coat             [..., 1] in [0, 1]          c, the share that has a clear coat
-coat_roughness   [..., 1] in (0, 1]          of the coat: GGX of alpha = coat_roughness^2
-coat_ior         [..., 1] >= 1               index of refraction of the coat
-shadowing        a name                      G, ``"smith_correlated"`` or ``"smith_separable"``
-off              names                       what has no strength and is not computed, below; found by itself
-parts            names                       the lobes that are evaluated, of those there are; None: all
-===============  ==========================  ==========================================================================
+==============  ====================  ==================================================================================
+parameter       unit, range           meaning
+==============  ====================  ==================================================================================
+base_color      [..., C] in [0, 1]    :math:`\rho`, albedo of the base, and reflectance of the metal at normal incidence
+metallic        [..., 1] in [0, 1]    m, the share of metal
+roughness       [..., 1] in (0, 1]    of metal and base: GGX of alpha = roughness^2
+ior             [..., 1] >= 1         index of refraction of the dielectric
+specular        [..., 1] in [0, 1]    s, the strength of the dielectric's reflection
+anisotropy      [..., 1] in [0, 1]    alpha over the aspect along the tangent, times it across; aspect^2 = 1 - 0.9 anisotropy
+coat            [..., 1] in [0, 1]    c, the share that has a clear coat
+coat_roughness  [..., 1] in (0, 1]    of the coat: GGX of alpha = coat_roughness^2
+coat_ior        [..., 1] >= 1         index of refraction of the coat
+shadowing       a name                G: ``"smith_correlated"`` or ``"smith_separable"``
+off             names, None           what is known to have no effect and is not computed; None: what the numbers say
+parts           names, None           the lobes that are evaluated: "diffuse", "specular", "coat"; None: all there are
+==============  ====================  ==================================================================================
 
-With :math:`p(\theta) = (1 - \cos\theta)^5` all reflectances are Schlick's: :math:`F = m\,(\rho + (1-\rho)\,p) + (1-m)\,s\,(f_0 + (1-f_0)\,p)`,
-one lobe for metal and dielectric, :math:`f_0 = ((ior-1)/(ior+1))^2`; :math:`F_c` likewise of coat_ior. What the interface reflects, the
-base does not get: :math:`T = 1 - s\,(f_0 + (1-f_0)\,p)` and :math:`\bar F = s\,(f_0 + (1-f_0)/23)`. With 21 in place of 23 it would be the mean
-of F, and the diffuse albedo exactly :math:`\rho\,T` (Shirley et al. 1997); rough facets reflect up to 0.0025 more than a smooth interface,
-and the base is up to 0.4 % darker so that no energy is made. :math:`T_c = 1 - c\,F_c(\theta)`: what enters and leaves through the coat,
-returns from below it left out. So f is reciprocal and the directional albedo at most 1; light that meets a second facet is lost.
+Reflectances are Schlick's, with :math:`p(\theta) = (1 - \cos\theta)^5` and :math:`f_0 = ((ior-1)/(ior+1))^2`. Metal and dielectric are
+one lobe, of :math:`F = m\,(\rho + (1-\rho)\,p) + (1-m)\,s\,(f_0 + (1-f_0)\,p)`; the coat has :math:`F_c = c\,(f_c + (1-f_c)\,p)`. What the
+interface reflects the base does not get: :math:`T=1 - s\,(f_0 + (1-f_0)\,p)`, and :math:`\bar F = s\,(f_0 + (1-f_0)/23)`. With 21 in place
+of 23 that were the mean of F, and the diffuse albedo exactly :math:`\rho\,T(\theta)` (Shirley et al. 1997); rough facets reflect up to
+0.0025 more than a smooth interface, so that the base is made up to 0.45 % darker, and no energy is made. :math:`T_c = 1 - F_c(\theta)`,
+on the way in and on the way out; what the coat throws back down is left out.
 
-**What is zero costs nothing.** ``metallic``, ``specular``, ``anisotropy`` or ``coat`` given as the number 0, or ``metallic`` as 1, take
-what they make zero out of the model, its lobes and its sampler; ``off`` names them (``"dielectric"``: metallic is 1). Tensors of one
-number count as numbers if they can be looked at (not in graphs and transforms, nor on other devices) and require no gradient: what is
-learned stays. ``tb.nn.Material`` decides when it is made.
+Reciprocal; the directional albedo is at most 1, and less where facets hide one another: light that meets a second facet is lost. Not
+smooth at the horizon, nor for wi = -wo.
 
-===========================  ======================================  ===================================================================
-beside                       the same                                otherwise
-===========================  ======================================  ===================================================================
-glTF 2.0, its extensions     names, alpha, f_0, metal, the specular  the base is weighted by 1 - F(wi.h) there, which makes energy (up
-                             lobe                                    to 1.9 at grazing); anisotropy is another formula
-OpenPBR 1.1                  names but base\_metalness,              exact Fresnel, Oren-Nayar, layers by their albedos; specular
-                             specular\_ior, ...\_weight; alpha       changes f_0 alone; anisotropy is another formula
-Burley 2012, Mitsuba's       alpha, anisotropy; a metal with         base with retro-reflection, exact Fresnel, coat of GTR1 at a
-principled                   ``shadowing="smith_separable"`` is      quarter of its strength, over an unweakened base; energy is made.
-                             Mitsuba's to rounding                   spec\_tint, flatness, sheen, spec\_trans are not here
-===========================  ======================================  ===================================================================
+**What is zero costs nothing.** ``metallic``, ``specular``, ``anisotropy`` or ``coat`` given as the number 0 take what they make zero out of
+the model, its lobes and its sampler; so does ``metallic`` of 1, and ``specular`` of 1 saves its factor. ``off`` names them: ``"metal"``,
+``"specular"``, ``"anisotropy"``, ``"coat"``, ``"dielectric"`` (metallic is 1), ``"partial"`` (specular is 1). A tensor of one number is a
+number if it can be looked at (on the CPU, not in graphs and transforms) and requires no gradient; what is learned stays.
+``tb.nn.Material`` decides when it is made.
 
-Not smooth at the horizon, and for wi = -wo. Sources: Burley 2012; glTF 2.0, appendix B; Shirley, Hu, Smits & Lafortune 1997.
+======================  ====================================  ==========================================================================
+beside                  the same                              otherwise
+======================  ====================================  ==========================================================================
+glTF 2.0                names, alpha, f0, metal, the          the base is weighted by 1 - F(wi.h), by which energy is made (to 1.9 at
+                        specular lobe                         grazing); the coat by F(n.wo) alone; anisotropy is another formula
+OpenPBR 1.1             coat and base as layers, alpha        prefixes of names; exact Fresnel; Oren-Nayar; layers weighted by their
+                                                              albedos; specular changes f0; anisotropy is another formula
+Mitsuba's principled    alpha, anisotropy (Burley 2012); a    exact Fresnel; a base with retro-reflection that the interface does not
+                        metal with                            weaken, nor the coat, which is GTR1 at a quarter of its strength;
+                        ``shadowing="smith_separable"`` is    spec_tint, flatness, sheen and spec_trans are not here
+                        theirs to rounding
+======================  ====================================  ==========================================================================
+
+Sources: Burley 2012; glTF 2.0, appendix B; Shirley, Hu, Smits & Lafortune 1997, *A practitioners' assessment of light reflection models*.
 
 >>> import torch, torchbrdf as tb
 >>> tb.Principled([0.8, 0.2, 0.1]).lobes == (tb.Lobe.DIFFUSE_REFLECTION, tb.Lobe.GLOSSY_REFLECTION)
 True
 >>> tb.Principled([0.8, 0.2, 0.1], metallic=1, coat=0.5).off
-('dielectric', 'anisotropy')
+('dielectric', 'partial', 'anisotropy')
 """
 
 import math
-from collections.abc import Mapping
 from typing import Any, Self
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from .. import arguments, numerics, sampling
 from ..geometry import Channels, Geometry, Viewer, each
@@ -74,19 +78,11 @@ from .principled_textbook import principled
 from .rough_conductor import RoughConductor
 from .sampler import normalised
 from .schlick_layer import Cover, Gloss, alpha_of
+from .switches import SWITCHES, is_known, known_off
 
 ROUGHNESS = Interval(0.0, 1.0, open_low=True, typical=(0.3, 1.0), hard=(0.01,))
 INDEX = Interval(1.0, typical=(1.2, 2.5), hard=(10.0,), flat=(1.0,))
 LOBES = {"diffuse": Lobe.DIFFUSE_REFLECTION, "specular": Lobe.GLOSSY_REFLECTION, "coat": Lobe.GLOSSY_REFLECTION}
-# What is off, and the parameter and the value that say so.
-SWITCHES = {
-    "metal": ("metallic", 0),
-    "dielectric": ("metallic", 1),
-    "specular": ("specular", 0),
-    "partial": ("specular", 1),
-    "anisotropy": ("anisotropy", 0),
-    "coat": ("coat", 0),
-}
 
 
 @value
@@ -290,20 +286,6 @@ class Principled(Bsdf):
     def _coat(self, viewer: Viewer) -> Gloss:
         cover = self._coat_cover(viewer)
         return Gloss(self._facets("coat", viewer), (cover.f0,), (cover.rise,))
-
-
-def known_off(given: Mapping[str, Any]) -> tuple[str, ...]:
-    """What is off by what is given for some parameters."""
-    return tuple([name for name, (field, x) in SWITCHES.items() if field in given and is_known(given[field], x)])
-
-
-def is_known(given: Any, x: int) -> bool:
-    """Whether what is given for a parameter is one number that can be looked at, requires no derivative, and is ``x``."""
-    if not isinstance(given, Tensor):
-        return isinstance(given, (int, float)) and given == x
-    if given.numel() != 1 or given.dim() > 1 or given.requires_grad or given.device.type != "cpu" or arguments.values_hidden(given):
-        return False
-    return forward_ad.unpack_dual(given).tangent is None and given.item() == x
 
 
 def _cover(viewer: Viewer, index: Tensor, strength: Tensor | None) -> Cover:
