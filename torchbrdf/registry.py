@@ -20,6 +20,7 @@ BSDFS = {
     "Coated": "bsdf.coated",
     "CookTorrance": "bsdf.cook_torrance",
     "Principled": "bsdf.principled",
+    "Sheen": "bsdf.sheen",
 }
 FRESNEL_TERMS = {
     "Dielectric": "optics.fresnel",

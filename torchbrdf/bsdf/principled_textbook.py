@@ -4,6 +4,7 @@ from typing import Any
 
 from ..optics.ggx import textbook_d, textbook_lambda
 from .shadowing import TEXTBOOK
+from .sheen import DECAY, Sheen
 
 
 def principled(m: Any, p: Any, v: Any) -> Any:
@@ -15,7 +16,9 @@ def principled(m: Any, p: Any, v: Any) -> Any:
     mean = 1 - v["specular"] * (f0(v["ior"]) + (1 - f0(v["ior"])) / 23)
     diffuse = rest * v["base_color"] / m.pi * (1 - base(p.cos_i)) * (1 - base(p.cos_o)) / mean
     below = f * facets(m, p, v["roughness"], v["shadowing"]) + diffuse
-    return (1 - coat(p.cos_i)) * (1 - coat(p.cos_o)) * below + coat(p.wi_h) * facets(m, p, v["coat_roughness"], v["shadowing"])
+    coated = (1 - coat(p.cos_i)) * (1 - coat(p.cos_o)) * below + coat(p.wi_h) * facets(m, p, v["coat_roughness"], v["shadowing"])
+    bound_i, bound_o = (v["sheen"] * m.exp(-DECAY * m.where(p.above, c, 1) / v["sheen_roughness"]) for c in (p.cos_i, p.cos_o))
+    return (1 - bound_i) * (1 - bound_o) * coated + Sheen.textbook(m, p, v["sheen"], v["sheen_roughness"])
 
 
 def fifth(cos: Any) -> Any:

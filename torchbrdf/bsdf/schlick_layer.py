@@ -72,3 +72,12 @@ def alpha_of(roughness: Tensor, anisotropy: Tensor | None = None) -> Tensor:
     aspect = torch.sqrt(1.0 - 0.9 * strength)
     x, y = torch.broadcast_tensors(r * r / aspect, r * r * aspect)
     return vector.stack((x.squeeze(-1), y.squeeze(-1)))
+
+
+def mixed(cover: Cover | None, colour: Channels, metallic: Tensor) -> tuple[Channels, Channels]:
+    """f0 and rise of metal of a colour, and of a dielectric or none for the rest."""
+    metal = tuple(metallic * c for c in colour)
+    if cover is None:
+        return metal, tuple(metallic - c for c in metal)
+    f0, rise = (1.0 - metallic) * cover.f0, (1.0 - metallic) * cover.rise
+    return tuple(c + f0 for c in metal), tuple((metallic - c) + rise for c in metal)

@@ -16,6 +16,7 @@ SWITCHES = {
     "partial": ("specular", 1),
     "anisotropy": ("anisotropy", 0),
     "coat": ("coat", 0),
+    "sheen": ("sheen", 0),
 }
 
 
