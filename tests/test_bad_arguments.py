@@ -126,6 +126,7 @@ CASES = {
     "CookTorrance normalization": (lambda: tb.CookTorrance(0.5, 0.5, 0.3, normalization="1981"), "CookTorrance.normalization: found '1981', legal are"),
     "CookTorrance share": (lambda: tb.validate(tb.CookTorrance(0.5, 1.5, 0.3)), r"CookTorrance.specular \[1\]: legal range \[0, 1\], found 1.5"),
     "Principled roughness": (lambda: tb.validate(tb.Principled(0.5, 0, 0.0)), r"Principled.roughness \[1\]: legal range \(0, 1\], found 0"),
+    "Sheen roughness": (lambda: tb.validate(tb.Sheen(0.5, 0.0)), r"Sheen.roughness \[1\]: legal range \(0, 1\], found 0"),
     "Principled part": (lambda: tb.Principled(0.5, parts=["coat"]), r"Principled.parts: found \('coat',\), of this material there are"),
     "Mirror tint": (lambda: tb.validate(tb.Mirror(-0.1)), r"Mirror.tint \[1\]: legal range \[0, 1\], found -0.1"),
     "Mirror fresnel": (lambda: tb.Mirror(1.0, fresnel=LAMBERT), "Mirror.fresnel: expected a Fresnel term such as .*found Lambert"),

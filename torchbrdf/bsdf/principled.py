@@ -1,8 +1,8 @@
 r"""One material of everyday parameters, under the names of glTF and OpenPBR: a metal or a glossy diffuse base, a clear coat, a sheen.
 
 .. math::
-    f = T_s(\theta_i)\,T_s(\theta_o) \Big\{ T_c(\theta_i)\,T_c(\theta_o) \Big[ F(\omega_i \cdot h)\, \frac{D\,G}{4 \cos\theta_i \cos\theta_o}
-    + (1 - m)\, \frac{\rho}{\pi} \frac{T(\theta_i)\, T(\theta_o)}{1 - \bar F} \Big]
+    f = T_s(\theta_i)\,T_s(\theta_o) \Big\{ T_c(\theta_i)\,T_c(\theta_o) \Big[ F(\omega_i \cdot h)\,
+    \frac{D\,G}{4 \cos\theta_i \cos\theta_o} + (1 - m)\, \frac{\rho}{\pi} \frac{T(\theta_i)\, T(\theta_o)}{1 - \bar F} \Big]
     + F_c(\omega_i \cdot h)\, \frac{D_c\, G_c}{4 \cos\theta_i \cos\theta_o} \Big\} + f_{sheen}
 
 ===============  ====================  ==================================================================================
@@ -35,11 +35,11 @@ leaves.
 Reciprocal; the directional albedo is at most 1, and less where facets hide one another: light that meets a second facet is lost. Not
 smooth at the horizon, nor for wi = -wo.
 
-**What is zero costs nothing.** ``metallic``, ``specular``, ``anisotropy``, ``coat`` or ``sheen`` given as the number 0 take what they make zero
-out of the model, its lobes and its sampler; so does ``metallic`` of 1, and ``specular`` of 1 saves its factor. ``off`` names them: ``"metal"``,
-``"specular"``, ``"anisotropy"``, ``"coat"``, ``"sheen"``, ``"dielectric"`` (metallic is 1), ``"partial"`` (specular is 1). A tensor of one number is a
-number if it can be looked at (on the CPU, not in graphs and transforms) and requires no gradient; what is learned stays.
-``tb.nn.Material`` decides when it is made.
+**What is zero costs nothing.** ``metallic``, ``specular``, ``anisotropy``, ``coat`` or ``sheen`` given as the number 0 take what they
+make zero out of the model, its lobes and its sampler; so does ``metallic`` of 1, and ``specular`` of 1 saves its factor. ``off`` names
+them: ``"metal"``, ``"specular"``, ``"anisotropy"``, ``"coat"``, ``"sheen"``, ``"dielectric"`` (metallic is 1), ``"partial"`` (specular is
+1). A tensor of one number is a number if it can be looked at (on the CPU, not in graphs and transforms) and requires no gradient; what is
+learned stays. ``tb.nn.Material`` decides when it is made.
 
 ======================  ====================================  ==========================================================================
 beside                  the same                              otherwise
@@ -50,7 +50,7 @@ OpenPBR 1.1             coat and base as layers, alpha        prefixes of names;
                                                               albedos; specular changes f0; anisotropy is another formula
 Mitsuba's principled    alpha, anisotropy (Burley 2012); a    exact Fresnel; a base with retro-reflection that the interface does not
                         metal with                            weaken, nor the coat, which is GTR1 at a quarter of its strength;
-                        ``shadowing="smith_separable"`` is    spec_tint, flatness, spec_trans are not here; sheen is 1 - cos to the fifth
+                        ``shadowing="smith_separable"`` is    spec_tint, flatness, spec_trans are not here; sheen is (1 - wi.h)^5
                         theirs to rounding
 ======================  ====================================  ==========================================================================
 
@@ -63,26 +63,22 @@ True
 ('dielectric', 'partial', 'anisotropy', 'sheen')
 """
 
-import math
 from typing import Any, Self
 
 import torch
 from torch import Tensor
 
-from .. import arguments, numerics, sampling
-from ..geometry import Channels, Geometry, Viewer, each
+from .. import arguments, sampling
+from ..geometry import Channels, Geometry, Viewer
 from ..interval import UNIT, Interval
 from ..value import COLOUR, SCALAR, param, value
 from ..vector import Vec
 from .base import Bsdf, nearest
 from .combine import either
-from .lambert import Lambert
 from .lobe import Draw, Lobe
+from .principled_layers import Layers, total
 from .principled_textbook import principled
-from .rough_conductor import RoughConductor
-from .sampler import normalised
-from .schlick_layer import Cover, Gloss, alpha_of, mixed
-from .sheen import ROUGHNESS, Sheen
+from .sheen import ROUGHNESS
 from .switches import SWITCHES, is_known, known_off
 
 INDEX = Interval(1.0, typical=(1.2, 2.5), hard=(10.0,), flat=(1.0,))
@@ -167,164 +163,45 @@ class Principled(Bsdf):
     # What is computed ---------------------------------------------------------------------------------------------------
 
     def formula(self, g: Geometry) -> Channels:
-        found = [self._base(name, g) for name in self.names if name not in ("coat", "sheen")]
-        if self.has("coat") and found:
-            through = self._over(g.viewer) * self._coat_cover(g.viewer).through(g.cos_i)
-            found = [tuple(f * through for f in _total(found))]
-        if "coat" in self.names:
-            found.append(self._coat(g.viewer).formula(g))
-        if self.has("sheen") and found:
-            found = [
-                each(
-                    lambda f, i, o: f * ((1.0 - i) * (1.0 - o)),
-                    _total(found),
-                    self._sheen(g.viewer).bound(g.viewer, g.cos_i),
-                    self._taken(g.viewer),
-                )
-            ]
-        return _total([*found, self._sheen(g.viewer).formula(g)] if "sheen" in self.names else found)
+        return self._layers(g.viewer).formula(g)
 
     @staticmethod
     def textbook(m: Any, p: Any, **fields: Any) -> Any:
         return NotImplemented if fields["parts"] or "anisotropy" not in (fields["off"] or ()) else principled(m, p, fields)
 
-    def _base(self, name: str, g: Geometry) -> Channels:
-        """A lobe below the coat."""
-        if name == "specular":
-            return self._gloss(g.viewer).formula(g)
-        cover = self._cover(g.viewer)
-        return self._albedo(g.viewer) if cover is None else tuple(a * cover.through(g.cos_i) for a in self._albedo(g.viewer))
-
     def density(self, g: Geometry) -> Tensor:
-        total = torch.zeros_like(g.cos_i + g.cos_o)
-        for share, name in zip(self._shares(g.viewer), self.names, strict=True):
-            total = total + share * self._alone(name, g.viewer).density(g)
-        return total
+        layers, density = self._layers(g.viewer), torch.zeros_like(g.cos_i + g.cos_o)
+        for share, name in zip(layers.shares, self.names, strict=True):
+            density = density + share * layers.alone(name).density(g)
+        return density
 
     def draw(self, viewer: Viewer, u: Vec) -> Draw:
         """Choose a lobe with ``u.z``, and draw from it."""
-        chosen, rest = sampling.choose(u.z, self._shares(viewer))
+        layers = self._layers(viewer)
+        chosen, rest = sampling.choose(u.z, layers.shares)
         numbers, found = Vec(u.x, u.y, rest), None
         for k, (mask, name) in enumerate(zip(chosen, self.names, strict=True)):
-            drawn = self._alone(name, viewer).draw(viewer, numbers)._replace(lobe=k)
+            drawn = layers.alone(name).draw(viewer, numbers)._replace(lobe=k)
             found = drawn if found is None else either(mask, drawn, found)
         assert found is not None
         return found
 
-    def _alone(self, name: str, viewer: Viewer) -> Bsdf:
-        """The model that a lobe is drawn from."""
-        if name == "diffuse":
-            return Lambert(self.base_color)
-        return self._sheen(viewer) if name == "sheen" else self._facets(name, viewer)
-
     def strength(self, viewer: Viewer) -> Tensor:
-        return sum(self._strengths(viewer), torch.zeros_like(viewer.cos_o))
+        return sum(self._layers(viewer).strengths, torch.zeros_like(viewer.cos_o))
 
     def albedo_at(self, viewer: Viewer, order: int) -> Channels:
         """The sum of the lobes' albedos, each by quadrature of its own sampler."""
         if len(self.names) == 1:
             return super().albedo_at(viewer, order)
-        return _total([self.replace(parts=(name,)).albedo_at(viewer, order) for name in self.names])
+        return total([self.replace(parts=(name,)).albedo_at(viewer, order) for name in self.names])
 
     def kink_distance(self, g: Geometry) -> Tensor:
         """The horizon, and for glossy lobes where there is no half vector."""
         found = super().kink_distance(g)
         if "sheen" in self.names:
-            return nearest(found, self._sheen(g.viewer).kink_distance(g))
+            return nearest(found, self._layers(g.viewer).sheen.kink_distance(g))
         return found if self.names == ("diffuse",) else nearest(found, g.wi_h)
 
-    # What stands once for each viewer -----------------------------------------------------------------------------------
-
-    def _shares(self, viewer: Viewer) -> list[Tensor]:
-        made: list[Tensor] = viewer.once(self, lambda: normalised(self._strengths(viewer)), "lobes")
+    def _layers(self, viewer: Viewer) -> Layers:
+        made: Layers = viewer.once(self, lambda: Layers(self, viewer))
         return made
-
-    def _strengths(self, viewer: Viewer) -> list[Tensor]:
-        """Of each lobe, about what it reflects."""
-        over = self._over(viewer) if self.has("coat") else 1.0
-        free = 1.0 - self._sheen(viewer).strength(viewer) if self.has("sheen") else 1.0
-        of = {
-            "diffuse": lambda: viewer.layout.mean(self._albedo(viewer)) * (math.pi * over * free),
-            "specular": lambda: self._gloss(viewer).strength(viewer) * (over * over * free),
-            "coat": lambda: self._coat(viewer).strength(viewer) * free,
-            "sheen": lambda: self._sheen(viewer).strength(viewer),
-        }
-        return [numerics.positive(of[name]()) for name in self.names]  # seen from below some are negative
-
-    def _cover(self, viewer: Viewer) -> Cover | None:
-        """The dielectric over the base."""
-        if not (self.has("specular") and self.has("dielectric")):
-            return None
-        strength = self.specular if self.has("partial") else None
-        made: Cover = viewer.once(self, lambda: _cover(viewer, self.ior, strength), "cover")
-        return made
-
-    def _albedo(self, viewer: Viewer) -> Channels:
-        """f of the diffuse base, but for what the interface takes of the light."""
-
-        def compute() -> Channels:
-            cover = self._cover(viewer)
-            share = (1.0 / math.pi) * (1.0 - viewer.scalar(self.metallic)) if self.has("metal") else 1.0 / math.pi
-            share = share if cover is None else cover.through(viewer.cos_o) * (cover.gain * share)
-            return tuple(a * share for a in viewer.colour(self.base_color))
-
-        made: Channels = viewer.once(self, compute, "albedo")
-        return made
-
-    def _gloss(self, viewer: Viewer) -> Gloss:
-        """The lobe of metal and dielectric together."""
-        made: Gloss = viewer.once(self, lambda: Gloss(self._facets("specular", viewer), *self._reflectance(viewer)), "gloss")
-        return made
-
-    def _reflectance(self, viewer: Viewer) -> tuple[Channels, Channels]:
-        """f0 and rise of Schlick's law."""
-        cover, colour = self._cover(viewer), viewer.colour(self.base_color)
-        if not self.has("metal") and cover is not None:
-            return (cover.f0,), (cover.rise,)
-        if not self.has("dielectric"):
-            return colour, tuple(1.0 - c for c in colour)
-        return mixed(cover, colour, viewer.scalar(self.metallic))
-
-    def _facets(self, name: str, viewer: Viewer) -> RoughConductor:
-        """Mirrors with the roughness of the coat, or of what is below."""
-
-        def compute() -> RoughConductor:
-            anisotropy = self.anisotropy if name == "specular" and self.has("anisotropy") else None
-            roughness = self.coat_roughness if name == "coat" else self.roughness
-            return RoughConductor(alpha_of(roughness, anisotropy), shadowing=self.shadowing)
-
-        made: RoughConductor = viewer.once(self, compute, f"{name} facets")
-        return made
-
-    def _coat_cover(self, viewer: Viewer) -> Cover:
-        made: Cover = viewer.once(self, lambda: _cover(viewer, self.coat_ior, self.coat), "coat cover")
-        return made
-
-    def _over(self, viewer: Viewer) -> Tensor:
-        """What leaves through the coat."""
-        made: Tensor = viewer.once(self, lambda: self._coat_cover(viewer).through(viewer.cos_o), "over")
-        return made
-
-    def _coat(self, viewer: Viewer) -> Gloss:
-        cover = self._coat_cover(viewer)
-        return Gloss(self._facets("coat", viewer), (cover.f0,), (cover.rise,))
-
-    def _sheen(self, viewer: Viewer) -> Sheen:
-        made: Sheen = viewer.once(self, lambda: Sheen(self.sheen, self.sheen_roughness), "sheen")
-        return made
-
-    def _taken(self, viewer: Viewer) -> Channels:
-        """What the sheen takes of what leaves."""
-        made: Channels = viewer.once(self, lambda: self._sheen(viewer).bound(viewer, viewer.cos_o), "taken")
-        return made
-
-
-def _cover(viewer: Viewer, index: Tensor, strength: Tensor | None) -> Cover:
-    return Cover.of(viewer.scalar(index), None if strength is None else viewer.scalar(strength))
-
-
-def _total(found: list[Channels]) -> Channels:
-    total = found[0]
-    for other in found[1:]:
-        total = each(torch.add, total, other)
-    return total
