@@ -198,8 +198,6 @@ class Principled(Bsdf):
     def kink_distance(self, g: Geometry) -> Tensor:
         """The horizon, and for glossy lobes where there is no half vector."""
         found = super().kink_distance(g)
-        if "sheen" in self.names:
-            return nearest(found, self._layers(g.viewer).sheen.kink_distance(g))
         return found if self.names == ("diffuse",) else nearest(found, g.wi_h)
 
     def _layers(self, viewer: Viewer) -> Layers:

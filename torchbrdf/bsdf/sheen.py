@@ -16,7 +16,8 @@ theirs, :math:`(2 + 1/\alpha)/2\pi`, reflects up to four times what arrives wher
 roughness (to 5e-4, by which the root is less than the quotient :math:`\Gamma(x + \tfrac12)/\Gamma(x)\sqrt\pi` that it stands for), and
 at most :math:`s\, e^{-1.39 \cos\theta / r}` elsewhere: :meth:`Sheen.bound`, by which a base below may be weakened.
 
-Not smooth at the horizon, and where the half vector is the normal. Sources: Estevez & Kulla 2017, *Production friendly microfacet
+Not smooth at the horizon, nor for wi = -wo. Where the half vector is the normal f is 0 and flat, but for r = 1, where its slope jumps and
+is taken as 0; its curvature is infinite there from r = 0.71 on. Sources: Estevez & Kulla 2017, *Production friendly microfacet
 sheen BRDF*; Ashikhmin & Premoze 2007.
 
 >>> import torch, torchbrdf as tb
@@ -85,8 +86,8 @@ class Sheen(Bsdf):
         return viewer.layout.mean(self.bound(viewer, viewer.cos_o))
 
     def kink_distance(self, g: Geometry) -> Tensor:
-        """Where there is no half vector, or it is the normal, too."""
-        return nearest(super().kink_distance(g), g.wi_h, numerics.safe_sqrt(g.sin2_h))
+        """The horizon, and where there is no half vector."""
+        return nearest(super().kink_distance(g), g.wi_h)
 
     @property
     def energy_bound(self) -> Tensor:
