@@ -144,3 +144,18 @@ def test_coated_is_its_plastic(mi, eta, nonlinear):
         sample, weight = theirs.sample(mi.BSDFContext(), interaction(mi, wo[i]), 0.0, mi.Point2f(0.5, 0.5))  # 0: always the reflection
         (mirror,) = ours.deltas(ours.viewer(wo[i], None))
         assert next(iter(weight)) * sample.pdf == pytest.approx(mirror.weight[0].item(), rel=256 * SINGLE)
+
+
+@pytest.mark.parametrize(("roughness", "anisotropic"), [(0.2, 0.0), (0.6, 0.0), (0.5, 0.5), (0.9, 1.0)])
+def test_a_metal_is_its_principled(mi, roughness, anisotropic):
+    """With its separable masking; base and coat are other laws there."""
+    colour, wi, wo = [0.9, 0.6, 0.2], above(100, generator(7)), above(100, generator(8))
+    wi[::2] = tb.normalize(wi[::2] * 0.1 + wo[::2] * torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))  # near the mirror direction
+    given = {"metallic": 1.0, "roughness": roughness, "anisotropic": anisotropic}
+    theirs = mi.load_dict({"type": "principled", "base_color": rgb(colour), **given})
+    ours = tb.Principled(colour, 1, roughness, anisotropy=anisotropic, shadowing="smith_separable")
+    for i in range(100):
+        value, pdf = theirs.eval_pdf(mi.BSDFContext(), interaction(mi, wo[i]), mi.Vector3f(*wi[i].tolist()))
+        f = ours.evaluate(wi[i], wo[i]) * wi[i, 2]
+        assert f.tolist() == pytest.approx(list(value), rel=1e-4, abs=1e-9)
+        assert ours.pdf(wi[i], wo[i]).item() == pytest.approx(pdf, rel=1e-4, abs=1e-9)

@@ -19,6 +19,9 @@ BSDFS = {
     "Scaled": "bsdf.combine",
     "TwoSided": "bsdf.two_sided",
     "Coated": "bsdf.coated",
+    "CookTorrance": "bsdf.cook_torrance",
+    "Principled": "bsdf.principled",
+    "Sheen": "bsdf.sheen",
 }
 FRESNEL_TERMS = {
     "Dielectric": "optics.fresnel",

@@ -30,6 +30,13 @@ def uniform_sphere(x: Tensor, y: Tensor) -> Vec:
     return Vec(r * torch.cos(phi), r * torch.sin(phi), z)
 
 
+def uniform_hemisphere(x: Tensor, y: Tensor) -> Vec:
+    """Density 1 / (2 pi)."""
+    z = 1.0 - x
+    r, phi = torch.sqrt(x * (2.0 - x)), 2.0 * math.pi * y
+    return Vec(r * torch.cos(phi), r * torch.sin(phi), z)
+
+
 def choose(u: Tensor, shares: list[Tensor]) -> tuple[list[Tensor], Tensor]:
     """Which of some alternatives uniform ``u [...]`` in [0, 1) chooses, as masks, and ``u`` stretched back to [0, 1) for the next choice.
 

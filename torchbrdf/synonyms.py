@@ -4,14 +4,21 @@ import importlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_COLOUR, _BRIGHTNESS = ("albedo", "specular", "tint", "f0", "intensity", "irradiance"), ("intensity", "irradiance", "texels")
+_COLOUR, _BRIGHTNESS = ("albedo", "base_color", "specular", "tint", "f0", "intensity", "irradiance"), ("intensity", "irradiance", "texels")
 # What is meant by an argument, the likeliest first; the first that is legal where it was given is named.
 ARGUMENTS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("color", "colour", "base_color", "basecolor", "reflectance", "texture", "rgb"), _COLOUR),
     **dict.fromkeys(("kd", "diffuse", "diffuse_reflectance", "rho"), ("albedo",)),
     **dict.fromkeys(("ks", "specular", "specular_color", "specular_reflectance", "tint"), ("specular", "tint", "f0")),
-    **dict.fromkeys(("shininess", "glossiness", "ns", "sharpness", "roughness", "alpha"), ("alpha", "exponent")),
-    **dict.fromkeys(("ior", "int_ior", "index", "refractive_index", "n"), ("eta",)),
+    **dict.fromkeys(
+        ("shininess", "glossiness", "ns", "sharpness", "roughness", "alpha", "specular_roughness"), ("alpha", "exponent", "roughness")
+    ),
+    **dict.fromkeys(("ior", "int_ior", "index", "refractive_index", "n", "specular_ior", "eta"), ("eta", "ior")),
+    **dict.fromkeys(("metalness", "base_metalness", "metal"), ("metallic",)),
+    **dict.fromkeys(("anisotropic", "specular_roughness_anisotropy"), ("anisotropy",)),
+    **dict.fromkeys(("clearcoat", "coat_weight"), ("coat",)),
+    **dict.fromkeys(("clearcoat_roughness", "clearcoat_gloss"), ("coat_roughness",)),
+    **dict.fromkeys(("specular_weight",), ("specular",)),
     **dict.fromkeys(("extinction", "kappa"), ("k",)),
     **dict.fromkeys(("r0", "f_0"), ("f0",)),
     **dict.fromkeys(("intensity", "irradiance", "radiance", "power", "strength", "emission", "energy", "brightness"), _BRIGHTNESS),
@@ -24,7 +31,6 @@ ARGUMENTS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("texcoords", "uvs", "st"), ("uv",)),
 }
 _SCALES = {"roughness", "alpha", "glossiness"}  # names of another scale than exponent
-_COMPOSE = "not in this version; compose it: tb.Lambert(albedo) + tb.RoughConductor(alpha, tb.Schlick(f0))"
 # Public names: another public name, or words.
 NAMES: dict[str, str] = {
     **dict.fromkeys(("Pinhole", "PinholeCamera", "PerspectiveCamera", "FoVPerspectiveCameras", "Sensor"), "Camera"),
@@ -39,7 +45,8 @@ NAMES: dict[str, str] = {
     **dict.fromkeys(("Meshes", "TriangleMesh"), "Mesh"),
     **dict.fromkeys(("Ggx", "TrowbridgeReitz"), "GGX"),
     **dict.fromkeys(("Microfacet", "MicrofacetBRDF", "TorranceSparrow"), "RoughConductor"),
-    **dict.fromkeys(("Disney", "Principled", "PrincipledBSDF"), _COMPOSE),
+    **dict.fromkeys(("Disney", "PrincipledBSDF", "DisneyBSDF", "PrincipledBRDF", "OpenPBR", "StandardSurface"), "Principled"),
+    **dict.fromkeys(("CookTorranceBRDF", "Cooktorrance"), "CookTorrance"),
 }
 
 

@@ -99,6 +99,12 @@ class Value:
         """The declared parameters, in order."""
         return cls._params
 
+    @classmethod
+    def decides(cls, name: str, given: Any) -> bool:
+        """Whether a number given for a parameter decides what a value is made of, so that a material keeps it as it is; never, unless a
+        value says otherwise."""
+        return False
+
     def own_tensors(self) -> Iterator[tuple[str, Tensor, Param]]:
         """(name, tensor, declaration) of every parameter that is present."""
         for name, spec in self.params().items():

@@ -96,7 +96,7 @@ class Sum(Bsdf):
         for mask, term in zip(chosen, self._spread(), strict=True):
             drawn = term.draw(viewer, numbers)
             drawn = drawn._replace(lobe=drawn.lobe + self._first_lobe(term))
-            found = drawn if found is None else _choose(mask, drawn, found)
+            found = drawn if found is None else either(mask, drawn, found)
         assert found is not None
         return found
 
@@ -209,7 +209,8 @@ def _of_one_domain(terms: tuple[Bsdf, ...]) -> bool:
     return all(type(t).domain is Bsdf.domain for t in terms)
 
 
-def _choose(mask: Tensor, a: Draw, b: Draw) -> Draw:
+def either(mask: Tensor, a: Draw, b: Draw) -> Draw:
+    """One draw where the mask is true, the other elsewhere."""
     wi = Vec(*(torch.where(mask, x, y) for x, y in zip(a.wi, b.wi, strict=True)))
     lobe, eta = (torch.where(mask, x, y) for x, y in ((a.lobe, b.lobe), (a.eta, b.eta)))
     return Draw(wi, lobe, eta)

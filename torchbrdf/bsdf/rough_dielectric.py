@@ -136,7 +136,7 @@ class RoughDielectric(Bsdf):
         return Draw(Vec(wi.x, wi.y, wi.z * viewer.side), lobe, torch.where(passes, eta, 1.0))
 
     def albedo_at(self, viewer: Viewer, order: int) -> Channels:
-        """Of power: each lobe by quadrature of its own sampler; V-cavities have ridges, which need more nodes."""
+        """By quadrature, of power: each lobe by its own sampler; V-cavities have ridges, which need more nodes."""
         nodes = order + order // 2 if self.shadowing == "v_cavity" else order
         parts = ("reflection", "transmission") if self.part == "both" else (self.part,)
         found = [Bsdf.albedo_at(self.replace(mode="flux", part=part), viewer, nodes) for part in parts]

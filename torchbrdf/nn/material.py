@@ -43,6 +43,9 @@ class Material(nn.Module):
 
     def _take(self, name: str, given: Any) -> None:
         spec = self.model.params().get(name)
+        if self.model.decides(name, given):
+            self.fixed[name] = int(given)  # in graphs, too, a number is known
+            return
         if spec is not None and given is not None and not isinstance(given, nn.Module):
             given = Given(given) if isinstance(given, Tensor) and given.requires_grad else Constant(given)
         if isinstance(given, Value):

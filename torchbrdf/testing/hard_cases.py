@@ -75,7 +75,7 @@ def _extreme(value: Value) -> Iterator[tuple[Value, str]]:
         held = getattr(value, name)
         if isinstance(held, Value):
             yield from ((value.replace(**{name: v}), label) for v, label in _extreme(held))
-        if isinstance(held, tuple):
+        if isinstance(held, tuple) and all(isinstance(inner, Value) for inner in held):
             for i, inner in enumerate(held):
                 yield from ((value.replace(**{name: (*held[:i], v, *held[i + 1 :])}), label) for v, label in _extreme(inner))
 

@@ -170,7 +170,9 @@ def _fields(subject: Any, k: int) -> dict[str, Any]:
     return {**found, **numbers, **{name: _term(found[name], k) for name in slots}}
 
 
-def _of_channel(v: Tensor, is_colour: bool, k: int) -> Any:
+def _of_channel(v: Tensor | None, is_colour: bool, k: int) -> Any:
+    if v is None:
+        return None
     return v[min(k, len(v) - 1)] if is_colour else v[0] if len(v) == 1 else tuple(v)
 
 

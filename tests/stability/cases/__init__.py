@@ -4,8 +4,8 @@ from . import derived, fresnel, interfaces, lobes, lookups, microfacet, models, 
 
 CASES = (
     *fresnel.CASES,
-    *microfacet.CASES,
     *lobes.CASES,
+    *microfacet.CASES,
     *vectors.CASES,
     *derived.CASES,
     *models.CASES,

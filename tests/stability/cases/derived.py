@@ -98,7 +98,7 @@ def case(
 
 def column(spec: Param, draw: Draw) -> np.ndarray:
     """Typical values of a parameter, and its hard ones: the closed ends of the range, and what it declares."""
-    if spec.event not in ((1,), ("C",), ("A",)):
+    if spec.event not in ((1,), ("C",), ("A",), ("K",)):
         raise NotImplementedError(f"parameters of shape {spec.shape} come with a case of their own: tests/stability/cases")
     low, high = spec.constraint.typical or (spec.constraint.low, spec.constraint.high)
     count = points.rows_of(draw)

@@ -1,11 +1,13 @@
 """Models that derive no case of their own: sums, two sides, the mirror."""
 
+import inspect
 from typing import Any
 
 import numpy as np
 import torch
 
 import torchbrdf as tb
+from torchbrdf.bsdf import principled_textbook
 from torchbrdf.testing.textbook import Point
 
 from ..case import Case, Columns, Draw
@@ -61,7 +63,18 @@ MIRROR = Case(
     outside={"at the horizon, up to rounding": near_own_horizon},
 )
 
+PRINCIPLED = {name: spec for name, spec in tb.Principled._params.items() if name != "anisotropy"}
+PLAIN = {"anisotropy": 0, "shadowing": "smith_correlated", "off": ("anisotropy",), "parts": None}
+
 CASES = (
+    case(
+        "Principled",
+        PRINCIPLED,
+        lambda *values: tb.Principled(**dict(zip(PRINCIPLED, values, strict=True))),
+        lambda p, *values: where(p.above, tb.Principled.textbook(M, p, **dict(zip(PRINCIPLED, values, strict=True)), **PLAIN), 0),
+        covers=("Principled",),
+        source=inspect.getsource(principled_textbook),
+    ),
     case(
         "2^20 (2^-40 (Lambert + Phong))",  # 1e6 times 1e-12
         {"albedo": ALBEDO, "exponent": PHONG["exponent"]},
