@@ -64,15 +64,11 @@ class RoughConductor(Bsdf):
     lobes = (Lobe.GLOSSY_REFLECTION,)
     variants = (
         {"distribution": "ggx", "shadowing": "smith_correlated"},
-        {"distribution": "ggx", "shadowing": "smith_separable"},
         {"distribution": "ggx", "shadowing": "v_cavity"},
         {"distribution": "beckmann", "shadowing": "smith_correlated"},
-        {"distribution": "beckmann", "shadowing": "smith_separable", "smith": "walter"},
         {"distribution": "blinn", "shadowing": "v_cavity"},
-        {"distribution": "blinn", "shadowing": "smith_correlated"},
-        {"distribution": "ggx", "alpha": (0.4, 0.15)},
-        {"distribution": "beckmann", "alpha": (0.15, 0.4)},
-        {"distribution": "blinn", "alpha": (0.3, 0.6), "shadowing": "v_cavity"},
+        {"distribution": "ggx", "shadowing": "smith_separable", "alpha": (0.4, 0.15)},
+        {"distribution": "beckmann", "shadowing": "smith_separable", "smith": "walter", "alpha": (0.15, 0.4)},
     )
 
     def __post_init__(self) -> None:

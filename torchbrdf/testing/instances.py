@@ -1,6 +1,5 @@
 """Instances of every registered model, drawn from what its fields declare: a new model is tested without a new test."""
 
-import itertools
 import types
 import typing
 from collections.abc import Iterator
@@ -20,8 +19,9 @@ COLOURS, ENTRIES = 3, {"A": 1}  # of a roughness one number; two are a variant
 def instances(thorough: bool = False, seed: int = 0) -> Iterator[tuple[str, Any]]:
     """(label, value) of every registered Fresnel term and BSDF, float64.
 
-    Parameters are drawn from the typical range of their constraint; a class's ``variants`` and Fresnel slots (empty, and each
-    registered term) are taken in turn, those of the first variant in all combinations if ``thorough``; models made of models hold typical mixtures.
+    Parameters are drawn from the typical range of their constraint. A class's ``variants`` are taken in turn, Fresnel slots (empty, and
+    each registered term) with the first of them, and if ``thorough`` one of them with each other; models made of models hold typical
+    mixtures.
     """
     for cls in (*registered(FRESNEL_TERMS), *registered(BSDFS)):
         yield from of_class(cls, thorough, seed)
@@ -35,7 +35,7 @@ def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterato
     slots = {name: fillings for name, fillings in slots.items() if fillings}
     variants: tuple[dict[str, Any], ...] = getattr(cls, "variants", ({},))
     for k, variant in enumerate(variants):
-        for filling in _combinations(slots) if thorough and k == 0 else _in_turn(slots, every=k == 0, first=k if thorough else 0):
+        for filling in _in_turn(slots, every=k == 0, first=k if thorough else 0):
             static = {name: v for name, (_, v) in filling.items()} | dict(variant)
             labels = [str(v) for v in variant.values()] + [label for label, _ in filling.values()]
             drawn = {name: draw(spec, rng) for name, spec in cls._params.items()}
@@ -50,11 +50,6 @@ def draw(spec: Param, rng: torch.Generator) -> torch.Tensor:
     """A typical value of a parameter, in its event shape; colours have three channels, other named axes two entries."""
     shape = tuple(n if isinstance(n, int) else COLOURS if n == "C" else ENTRIES.get(n, 2) for n in spec.event)
     return spec.constraint.draw(shape, rng)
-
-
-def _combinations(slots: dict[str, list[tuple[str, Any]]]) -> Iterator[dict[str, tuple[str, Any]]]:
-    """Each filling of each slot with each of the others."""
-    yield from (dict(zip(slots, fillings, strict=True)) for fillings in itertools.product(*slots.values()))
 
 
 def _in_turn(slots: dict[str, list[tuple[str, Any]]], every: bool, first: int = 0) -> Iterator[dict[str, tuple[str, Any]]]:
