@@ -12,7 +12,7 @@ import torch
 
 import torchbrdf as tb
 from torchbrdf import geometry, numerics, sampling, vector
-from torchbrdf.bsdf import base, blinn_phong, coated, lambert, mirror, phong, sampler, smooth_dielectric, two_sided
+from torchbrdf.bsdf import base, blinn_phong, coated, lambert, mirror, phong, rough_dielectric, sampler, smooth_dielectric, two_sided
 from torchbrdf.bsdf.lobe import Delta, Draw
 from torchbrdf.geometry import each
 from torchbrdf.optics import fresnel
@@ -83,6 +83,10 @@ def _coated() -> Any:
 
 def _glass() -> Any:
     return tb.SmoothDielectric(1.5)
+
+
+def _frosted() -> Any:
+    return tb.RoughDielectric(0.4, 1.5)
 
 
 # --- the faulty pieces -------------------------------------------------------------------------------------------------
@@ -403,6 +407,21 @@ def radiance_the_other_way(original: Any) -> Any:
     return faulty
 
 
+def without_the_index(original: Any) -> Any:
+    """As if both sides were one medium."""
+    return lambda self, g: torch.ones_like(g.cos_i)
+
+
+def jacobian_of_the_viewer(original: Any) -> Any:
+    """n_o^2 where n_i^2 belongs."""
+
+    def faulty(self: Any, g: Any, by: Any) -> Any:
+        at = self._facet(g)
+        return original(self, g, by) * (at.n_o / at.n_i) ** 2
+
+    return faulty
+
+
 FAULTS = (
     Fault("lobe of another exponent", "textbook", blinn_phong.BlinnPhong, "formula", lobe_of_another_exponent, _blinn),
     Fault("Lambert without 1/pi", "lambert", lambert.Lambert, "formula", lambert_without_pi, _lambert),
@@ -457,5 +476,14 @@ FAULTS = (
     Fault("a coat without the solid angle", "albedo", coated.Coated, "formula", coat_without_solid_angle, _coated),
     Fault("a coat without the solid angle", "mean_weight", coated.Coated, "formula", coat_without_solid_angle, _coated),
     Fault("radiance the other way", "mean_weight", smooth_dielectric.SmoothDielectric, "deltas", radiance_the_other_way, _glass),
+    Fault("no index in reciprocity", "reciprocity", rough_dielectric.RoughDielectric, "exchange", without_the_index, _frosted),
+    Fault(
+        "Jacobian of the viewer's side",
+        "pdf_integrates_to_one",
+        rough_dielectric.RoughDielectric,
+        "_drawn_through",
+        jacobian_of_the_viewer,
+        _frosted,
+    ),
     Fault("textbook dielectric", "hard_cases", fresnel, "dielectric", textbook_dielectric, _dielectric),
 )
