@@ -18,6 +18,7 @@ V-cavities. Roughness along two axes needs a tangent; without one the frame is t
 Perceptual roughness, as of glTF, is the square root of alpha: ``tb.alpha_from_roughness``. Smith's shadowing of Blinn's distribution
 is that of Beckmann's, which suits it up to alpha = 0.2; beyond, energy is made at grazing (albedo 1.11 at alpha = 0.5, 1.75 at 1),
 so take ``"v_cavity"``, whose albedo is at most 1.
+The directional albedo is that of the law to 1e-5, but for V-cavities and a critical angle in F, whose kinks cost up to 1e-4 and 1e-2.
 Sources: Torrance & Sparrow 1967; Walter et al. 2007, eq. 20; visible normals Heitz 2018.
 
 >>> import torch, torchbrdf as tb
