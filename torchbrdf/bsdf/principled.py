@@ -33,7 +33,7 @@ on the way in and on the way out; what the coat throws back down is left out. :m
 leaves.
 
 Reciprocal; the directional albedo is at most 1, and less where facets hide one another: light that meets a second facet is lost. Not
-smooth at the horizon, nor for wi = -wo.
+smooth at the horizon, for wi = -wo, nor, with a sheen, in the mirror direction.
 
 **What is zero costs nothing.** ``metallic``, ``specular``, ``anisotropy``, ``coat`` or ``sheen`` given as the number 0 take what they
 make zero out of the model, its lobes and its sampler; so does ``metallic`` of 1, and ``specular`` of 1 saves its factor. ``off`` names
@@ -68,7 +68,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
-from .. import arguments, sampling
+from .. import arguments, numerics, sampling
 from ..geometry import Channels, Geometry, Viewer
 from ..interval import UNIT, Interval
 from ..value import COLOUR, SCALAR, param, value
@@ -196,8 +196,10 @@ class Principled(Bsdf):
         return total([self.replace(parts=(name,)).albedo_at(viewer, order) for name in self.names])
 
     def kink_distance(self, g: Geometry) -> Tensor:
-        """The horizon, and for glossy lobes where there is no half vector."""
+        """The horizon, for glossy lobes where there is no half vector, and for the sheen where it is the normal."""
         found = super().kink_distance(g)
+        if "sheen" in self.names:
+            return nearest(found, g.wi_h, numerics.safe_sqrt(g.sin2_h))
         return found if self.names == ("diffuse",) else nearest(found, g.wi_h)
 
     def _layers(self, viewer: Viewer) -> Layers:

@@ -63,8 +63,9 @@ MIRROR = Case(
     outside={"at the horizon, up to rounding": near_own_horizon},
 )
 
-PRINCIPLED = {name: spec for name, spec in tb.Principled._params.items() if name != "anisotropy"}
-PLAIN = {"anisotropy": 0, "shadowing": "smith_correlated", "off": ("anisotropy",), "parts": None}
+APART = ("anisotropy", "sheen", "sheen_roughness")  # the sheen has a case of its own
+PRINCIPLED = {name: spec for name, spec in tb.Principled._params.items() if name not in APART}
+PLAIN = {"anisotropy": 0, "sheen": 0, "sheen_roughness": 1, "shadowing": "smith_correlated", "off": ("anisotropy",), "parts": None}
 
 CASES = (
     case(
