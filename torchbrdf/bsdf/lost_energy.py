@@ -34,7 +34,7 @@ from ..vector import Vec
 from .lost_energy_fit import TEXT
 
 REACH = 3.0  # cosines up to 3 alpha are where light is lost
-DEGREE_X, DEGREE_A, DEGREE_MEAN, DEGREE_LOG = 12, 8, 8, 2
+DEGREE_X, DEGREE_A, DEGREE_MEAN, DEGREE_LOG = 12, 8, 10, 2
 
 
 class Fit(NamedTuple):

@@ -122,12 +122,13 @@ def _powers(c: np.ndarray) -> np.ndarray:
 
 def _mean(bare: Fit) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """The average of the fit itself over diffuse light, so that the lobe returns L whatever the error of L."""
-    alpha = torch.from_numpy(np.geomspace(1e-5, 1.0, 160))
+    alpha = torch.from_numpy(np.concatenate([np.geomspace(1e-5, 1.0, 100), np.linspace(0.01, 1.0, 120)]))
     average = exact_mean(bare, alpha)
     t = centred(alpha)
     powers = [t**k for k in range(DEGREE_MEAN + 1)] + [torch.log(alpha) * t**k for k in range(DEGREE_LOG + 1)]
-    scale = (alpha * alpha / average)[:, None]
-    c = np.linalg.lstsq((torch.stack(powers, -1) * scale).numpy(), np.ones(len(alpha)), rcond=None)[0]
+    weight = 0.1 + alpha  # the rougher, the more is lost
+    columns = torch.stack(powers, -1) * (weight * alpha * alpha / average)[:, None]
+    c = np.linalg.lstsq(columns.numpy(), weight.numpy(), rcond=None)[0]
     return tuple(c[: DEGREE_MEAN + 1]), tuple(c[DEGREE_MEAN + 1 :])
 
 

@@ -15,7 +15,7 @@ energy         a name                   ``"single"``: what meets a second facet 
 
 ``energy="single"``: light that meets a second facet is lost, up to 0.7 of it at alpha = 1, so that the directional albedo falls with
 alpha. ``"conserving"`` adds a broad lobe that returns it, coloured by each further reflection (:mod:`~torchbrdf.bsdf.lost_energy`: Kulla
-& Conty 2017): a white surface then returns everything, within 5e-4 at every angle and alpha in [0.02, 1] (1.5e-4 for GGX with Smith's
+& Conty 2017): a white surface then returns everything, within 3.5e-4 at every angle and alpha in [0.02, 1] (1.2e-4 for GGX with Smith's
 shadowing). Along two axes it is approximate: within 0.08 at (0.3, 0.6) or (0.4, 0.1), where single scattering loses 0.31 and 0.19, and
 0.25 at ratios of 10; ``energy_bound`` is then None. There is none for Walter's Lambda, nor for Blinn's distribution but with V-cavities.
 
