@@ -41,7 +41,7 @@ def test_unknown_name():
 
 NAMES = {
     "Ggx": r"did you mean tb.GGX\?",
-    "Disney": r"compose it: tb.Lambert\(albedo\) \+ tb.RoughConductor",
+    "Disney": r"not in this version; compose it: tb.Lambert\(albedo\) \+ tb.RoughConductor",
     "Pinhole": r"did you mean tb.Camera\?",
     "Texture": r"did you mean tb.nn.Texture\?",
     "schlick": r"did you mean tb.fresnel.schlick\?",

@@ -23,6 +23,7 @@ FRESNEL_TERMS = {
     "Dielectric": "optics.fresnel",
     "Conductor": "optics.fresnel",
     "Schlick": "optics.fresnel",
+    "F82Tint": "optics.f82",
 }
 DISTRIBUTIONS = {
     "GGX": "optics.ggx",

@@ -19,15 +19,19 @@ alpha. ``"conserving"`` adds a broad lobe that returns it, coloured by each furt
 shadowing). Along two axes it is approximate: within 0.08 at (0.3, 0.6) or (0.4, 0.1), where single scattering loses 0.31 and 0.19, and
 0.25 at ratios of 10; ``energy_bound`` is then None. There is none for Walter's Lambda, nor for Blinn's distribution but with V-cavities.
 
-Not smooth at the horizon, where f jumps, nor at the ridge of V-cavities. Roughness along two axes needs a tangent; without one the frame
-is that of ``tb.Frame.from_normal``, which jumps. Perceptual roughness, as of glTF, is the square root of alpha:
-``tb.alpha_from_roughness``. Smith's shadowing of Blinn's distribution is that of Beckmann's, by which up to 7 % of energy is made.
+Not smooth at the horizon, where f jumps (before, it grows as 1 / cos, its slopes as the square of that), nor at the ridge of
+V-cavities. Roughness along two axes needs a tangent; without one the frame is that of ``tb.Frame.from_normal``, which jumps.
+Perceptual roughness, as of glTF, is the square root of alpha: ``tb.alpha_from_roughness``. Smith's shadowing of Blinn's distribution
+is that of Beckmann's, which suits it up to alpha = 0.2; beyond, energy is made at grazing (albedo 1.11 at alpha = 0.5, 1.75 at 1),
+so take ``"v_cavity"``, whose albedo is at most 1.
 Sources: Torrance & Sparrow 1967; Walter et al. 2007, eq. 20; visible normals Heitz 2018.
 
 >>> import torch, torchbrdf as tb
 >>> gold = tb.RoughConductor(0.2, tb.Conductor.named("Au"))
 >>> [round(x, 2) for x in gold.directional_albedo(torch.tensor([[0.6, 0.0, 0.8]]))[0].tolist()]
-[0.0, 0.0, 0.0]
+[0.89, 0.74, 0.38]
+>>> [round(x, 2) for x in gold.replace(energy="conserving").directional_albedo(torch.tensor([[0.6, 0.0, 0.8]]))[0].tolist()]
+[0.95, 0.78, 0.4]
 """
 
 import math

@@ -36,7 +36,7 @@ def smith_separable(g: Geometry, length_i: Length, length_o: Length) -> Tensor:
 def v_cavity(g: Geometry, length_i: Length, length_o: Length) -> Tensor:
     """Symmetric grooves; of no distribution's shape. With n.h / wo.h = 2 (n.wi + n.wo) / \\|wi + wo\\|^2."""
     ci, co = g.cos_i.abs(), g.cos_o.abs()
-    hidden = torch.maximum(ci, co) * (g.half2 * numerics.reciprocal_or_zero(ci + co))
+    hidden = torch.maximum(ci, co) * (g.half2 * _inverse(ci + co))
     return _inverse(torch.maximum(4.0 * ci * co, hidden))
 
 

@@ -10,7 +10,7 @@ verb           when                                                             
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -47,6 +47,19 @@ class Scene(NamedTuple):
         """The lobes of the wanted kinds in words; empty if there are none."""
         return ", ".join(sorted({lobe.label for lobe in self.bsdf.lobes if lobe.serves(wanted)}))
 
+    def methods(self, wanted: Lobe) -> str:
+        """By which methods the laws behind these lobes are computed, such as ``"Dielectric: standard"``; empty if they have one each."""
+        part = self.bsdf.select(wanted)
+        return ", ".join(dict.fromkeys(_methods(part))) if part is not None else ""
+
+
+def _methods(held: Value) -> Iterator[str]:
+    found = [getattr(held, name) for name in held._fields if name in ("method", "smith")]
+    if found:
+        yield f"{type(held).__name__}: {', '.join(found)}"
+    for inner in held.nested():
+        yield from _methods(inner)
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -58,7 +71,8 @@ class Decision:
     method: str = "exact"
 
     def __str__(self) -> str:
-        return f"  {self.effect:<12} {'on ' if self.on else 'off'}  {self.why}"
+        by = "" if self.method == "exact" else f" ({self.method})"
+        return f"  {self.effect:<12} {'on ' if self.on else 'off'}  {self.why}{by}"
 
 
 @value

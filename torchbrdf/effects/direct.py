@@ -39,7 +39,8 @@ class Direct(Effect):
             return Decision(self.name, False, "the material has delta lobes alone, and those never meet a point or a direction")
         if not count:
             return Decision(self.name, False, "no point or directional light")
-        return Decision(self.name, True, f"{lobes} under {count} point or directional light{'s' * (count > 1)}: a sum, exact")
+        why = f"{lobes} under {count} point or directional light{'s' * (count > 1)}: a sum, exact"
+        return Decision(self.name, True, why, scene.methods(self.lobes) or "exact")
 
     def run(self, bsdf: Bsdf, surface: Surface, lights: Sequence[tuple[int, Light]], prepared: Prepared) -> list[Contribution]:
         shadow = prepared.of("shadow")

@@ -68,24 +68,34 @@ class Beckmann(Distribution):
 
     @staticmethod
     def visible_normal(w: Vec, rough: Rough, u: Vec) -> Vec:
-        """Slopes of the surface of roughness 1 along the viewer and across, turned to the viewer's azimuth and stretched back."""
+        """Slopes of the surface of roughness 1 along the viewer and across, and stretched back.
+
+        They are made of a Gaussian pair of the frame's own axes, so that the sample does not turn with the azimuth of a viewer above.
+        """
         seen = local_direction(w, rough)
         sin = numerics.safe_sqrt(seen.x * seen.x + seen.y * seen.y)
         inverse = numerics.reciprocal_or_zero(sin)
         cos_phi, sin_phi = seen.x * inverse + (1.0 - numerics.step(sin)), seen.y * inverse
-        along, across = _slope_along(u.x, seen.z, sin), torch.erfinv(2.0 * u.y - 1.0)
-        across = numerics.finite_or_zero(across)  # u.y = 0 has probability 0
-        x, y = cos_phi * along - sin_phi * across, sin_phi * along + cos_phi * across
-        return local_direction(Vec(-x, -y, torch.ones_like(x)), rough)
+        p, q = _gaussian(u.x), _gaussian(u.y)
+        turned, across = cos_phi * p + sin_phi * q, cos_phi * q - sin_phi * p
+        along = _slope_along(0.5 * torch.special.erfc(-turned), seen.z, sin)
+        return local_direction(Vec(sin_phi * across - cos_phi * along, -sin_phi * along - cos_phi * across, torch.ones_like(along)), rough)
+
+
+def _gaussian(u: Tensor) -> Tensor:
+    """The number that a Gaussian of variance 1/2 stays below with probability u."""
+    eps = torch.finfo(u.dtype).eps
+    return torch.erfinv(2.0 * u.clamp(eps, 1.0 - eps) - 1.0)
 
 
 def walter_length(cos: Tensor, projected2: Tensor) -> Tensor:
     """The Smith length by the rational Lambda of Walter et al. 2007, eq. 27; 0 from nu = 1.548 on."""
     a = numerics.safe_sqrt(projected2)
-    return cos + 2.0 * a * walter_share(cos, a)
+    share, _ = walter_share(cos, a)
+    return cos + 2.0 * a * share
 
 
-STEPS = 24  # of Newton's method, each at least a bisection: enough for float64
+STEPS = {torch.float32: 16, torch.float64: 28}  # of Newton's method, a bisection where it would leave the bracket
 
 
 def _slope_along(u: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
@@ -98,17 +108,23 @@ def _slope_along(u: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
         low = torch.full_like(u + cos, -end)
         high = torch.clamp(cos / sin.clamp_min(numerics.tiny(sin.dtype)), -end, end).expand_as(low)
         wanted = u * _visible(high, cos, sin)
-        x = torch.zeros_like(low).clamp(max=high)
-        for _ in range(STEPS):
+        x = _between(u, cos, sin).clamp(-end, end).minimum(high)
+        for _ in range(STEPS[u.dtype]):
             excess = _visible(x, cos, sin) - wanted
             low, high = torch.where(excess > 0, low, x), torch.where(excess > 0, x, high)
-            step = x - excess * numerics.reciprocal_or_zero(_seen(x, cos, sin))
-            inside = (step > low) & (step < high)
+            slope = _seen(x, cos, sin)
+            step = x - excess * numerics.reciprocal_or_zero(slope)
+            inside = (step >= low) & (step <= high) & (slope > 0)  # at the root itself it stands still
             x = torch.where(inside, step, 0.5 * (low + high))
     end_x = torch.clamp(cos / sin.clamp_min(numerics.tiny(sin.dtype)), max=end)
     residue = _visible(x, cos, sin) - u * _visible(end_x, cos, sin)
     slope = numerics.reciprocal_or_zero(_seen(x, cos, sin).detach(), numerics.negligible(x.dtype))
     return x - (residue - residue.detach()) * slope
+
+
+def _between(u: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
+    """A start: between the solutions for a viewer above and for one in the horizon."""
+    return cos * cos * _gaussian(u) - sin * sin * torch.sqrt(-torch.log(u.clamp_min(torch.finfo(u.dtype).eps)))
 
 
 def _visible(x: Tensor, cos: Tensor, sin: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ alpha      [..., 1 or 2], (0, 1]  roughness, a slope; 1 is the exponent 0
 =========  =====================  ====================================================
 
 ``tb.alpha_from_exponent`` converts. Its Lambda has no closed form; as Walter et al. 2007 do, that of Beckmann's distribution of the same
-alpha stands in for it, by which up to 7 % of energy is made (Torrance-Sparrow's V-cavities need none). Normals are drawn as those of GGX.
+alpha stands in for it, which suits small alpha alone (Torrance-Sparrow's V-cavities need none). Normals are drawn as those of GGX.
 Sources: Blinn 1977; Ashikhmin & Shirley 2000, eq. 4; Walter et al. 2007, eq. 30.
 
 >>> import torch, torchbrdf as tb

@@ -117,15 +117,15 @@ def beckmann_lambda_walter(cos: Tensor, alpha_sin: Tensor | float) -> Tensor:
     As published it is negative, down to -5e-5, between 1.548 and 1.6, and jumps to 0 there; here that stretch is 0.
     """
     (cos, a), dtype = working(cos, alpha_sin)
-    c = _above(cos)
-    return numerics.rounded_back((a * walter_share(c, a) / c).masked_fill(cos <= 0, math.inf), dtype)
+    share, nu = walter_share(_above(cos), a)
+    return numerics.rounded_back((share / nu).masked_fill(cos <= 0, math.inf), dtype)
 
 
-def walter_share(c: Tensor, a: Tensor) -> Tensor:
-    """``nu Lambda`` of the fit, for nu = c / a >= 0."""
+def walter_share(c: Tensor, a: Tensor) -> tuple[Tensor, Tensor]:
+    """``nu Lambda`` of the fit, and nu = c / a >= 0; 0 and 1 where Lambda is 0."""
     near = step(1.59 * a - c)  # just beyond the first root of the numerator, which is positive again past the second
-    nu = (c * near) / (a * near + (1.0 - near))
-    return torch.relu((0.396 * nu - 1.259) * nu + 1.0) * near / (2.181 * nu + 3.535)
+    nu = (c * near + (1.0 - near)) / (a * near + (1.0 - near))
+    return torch.relu((0.396 * nu - 1.259) * nu + 1.0) * near / (2.181 * nu + 3.535), nu
 
 
 def _above(cos: Tensor) -> Tensor:

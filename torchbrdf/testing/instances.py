@@ -21,7 +21,7 @@ def instances(thorough: bool = False, seed: int = 0) -> Iterator[tuple[str, Any]
     """(label, value) of every registered Fresnel term and BSDF, float64.
 
     Parameters are drawn from the typical range of their constraint; a class's ``variants`` and Fresnel slots (empty, and each
-    registered term) are taken in turn, in all combinations if ``thorough``; models made of models hold typical mixtures.
+    registered term) are taken in turn, those of the first variant in all combinations if ``thorough``; models made of models hold typical mixtures.
     """
     for cls in (*registered(FRESNEL_TERMS), *registered(BSDFS)):
         yield from of_class(cls, thorough, seed)
@@ -34,8 +34,8 @@ def of_class(cls: type[Value], thorough: bool = False, seed: int = 0) -> Iterato
     slots = {name: [f for f in _fillings(hints[name], rng) if _fits(cls, f[1])] for name in cls._fields if name not in cls._params}
     slots = {name: fillings for name, fillings in slots.items() if fillings}
     variants: tuple[dict[str, Any], ...] = getattr(cls, "variants", ({},))
-    for variant in variants:
-        for filling in _combinations(slots) if thorough else _in_turn(slots, every=variant == variants[0]):
+    for k, variant in enumerate(variants):
+        for filling in _combinations(slots) if thorough and k == 0 else _in_turn(slots, every=k == 0, first=k if thorough else 0):
             static = {name: v for name, (_, v) in filling.items()} | dict(variant)
             labels = [str(v) for v in variant.values()] + [label for label, _ in filling.values()]
             drawn = {name: draw(spec, rng) for name, spec in cls._params.items()}
@@ -57,10 +57,10 @@ def _combinations(slots: dict[str, list[tuple[str, Any]]]) -> Iterator[dict[str,
     yield from (dict(zip(slots, fillings, strict=True)) for fillings in itertools.product(*slots.values()))
 
 
-def _in_turn(slots: dict[str, list[tuple[str, Any]]], every: bool) -> Iterator[dict[str, tuple[str, Any]]]:
-    """Each filling of each slot once, beside changing ones of the others; the first alone where not every one is asked for."""
+def _in_turn(slots: dict[str, list[tuple[str, Any]]], every: bool, first: int = 0) -> Iterator[dict[str, tuple[str, Any]]]:
+    """Each filling of each slot once, beside changing ones of the others; the ``first`` alone where not every one is asked for."""
     count = max((len(fillings) for fillings in slots.values()), default=1) if every else 1
-    yield from ({name: fillings[k % len(fillings)] for name, fillings in slots.items()} for k in range(count))
+    yield from ({name: fillings[(first + k) % len(fillings)] for name, fillings in slots.items()} for k in range(count))
 
 
 def _fillings(hint: Any, rng: torch.Generator) -> Iterator[tuple[str, Any]]:
