@@ -34,13 +34,13 @@ from ..vector import Vec
 from .lost_energy_fit import TEXT
 
 REACH = 3.0  # cosines up to 3 alpha are where light is lost
-DEGREE_X, DEGREE_A, DEGREE_MEAN, DEGREE_LOG = 12, 8, 10, 2
+DEGREE_X, DEGREE_A, DEGREE_MEAN, DEGREE_LOG = 12, 8, 14, 4
 
 
 class Fit(NamedTuple):
-    """The coefficients of one distribution and shadowing, of powers of arguments in [-1, 1]."""
+    """The coefficients of one distribution and shadowing, of Chebyshev's polynomials of arguments in [-1, 1]."""
 
-    rows: tuple[tuple[float, ...], ...]  # of p: [power of x][power of alpha]
+    rows: tuple[tuple[float, ...], ...]  # of p: [degree in x][degree in alpha]
     mean: tuple[float, ...]  # of the average over alpha^2, which is a polynomial, and
     log: tuple[float, ...]  # one more times log alpha
     root: bool  # whether p is a polynomial in the root of x
@@ -72,7 +72,7 @@ FITS = read(TEXT)
 class Lost(NamedTuple):
     """The fit at the roughness of each point."""
 
-    series: Channels  # coefficients of p by power of x
+    series: Channels  # coefficients of p by degree in x
     mean: Tensor  # the average of L over diffuse light
     rough: Rough
     square: Tensor  # alpha^2, of two axes the mean
@@ -84,9 +84,9 @@ class Lost(NamedTuple):
         """At a roughness."""
         square = rough.area if rough.isotropic else 0.5 * (rough.x * rough.x + rough.y * rough.y)
         alpha = rough.x if rough.isotropic else torch.sqrt(square)
-        t = centred(alpha)
-        mean = square * (horner(fit.mean, t) + torch.log(alpha) * horner(fit.log, t))
-        return Lost(_series(fit.rows, t), mean, rough, square, fit.root, fit.vanishes)
+        basis = chebyshev(centred(alpha), DEGREE_MEAN)
+        mean = square * (summed(fit.mean, basis) + torch.log(alpha) * summed(fit.log, basis))
+        return Lost(_series(fit.rows, basis), mean, rough, square, fit.root, fit.vanishes)
 
     def at(self, cos: Tensor, local: Vec | None) -> Tensor:
         """L in [0, 1] at a cosine >= 0; of a direction in the local frame where the roughness has two axes."""
@@ -95,7 +95,7 @@ class Lost(NamedTuple):
         inverse = numerics.reciprocal_or_zero(cos + reach)  # without a direction there is none
         x = cos * (1.0 + reach) * inverse
         z = 2.0 * (numerics.safe_sqrt(x) if self.root else x) - 1.0
-        p = horner(self.series, z) * (reach * inverse)
+        p = clenshaw(self.series, z) * (reach * inverse)
         return p * p * x if self.vanishes else p * p
 
     def gain(self, fresnel: Fresnel, viewer: Viewer) -> Channels:
@@ -120,17 +120,38 @@ def centred(alpha: Tensor) -> Tensor:
     return (3.0 * alpha - 1.0) / (1.0 + alpha)
 
 
-def _series(rows: Sequence[Sequence[float]], t: Tensor) -> Channels:
-    """A polynomial for each row; eagerly of a few points all at once, where a hundred operations on each would be dear."""
-    if not numerics.few(t):
-        return tuple(horner(row, t) for row in rows)
-    columns = torch.tensor(rows, dtype=t.dtype).to(t.device).reshape(len(rows), -1, *(1,) * t.dim()).unbind(1)
-    return horner(columns, t).unbind(0)
+def chebyshev(x: Tensor, degree: int) -> list[Tensor]:
+    """Chebyshev's polynomials up to a degree >= 1."""
+    found, twice = [torch.ones_like(x), x], 2.0 * x
+    for _ in range(degree - 1):
+        found.append(torch.addcmul(-found[-2], twice, found[-1]))
+    return found
 
 
-def horner(coefficients: Sequence[Tensor | float], x: Tensor) -> Tensor:
-    """The polynomial of these coefficients, the constant first."""
-    total = coefficients[-1] * x + coefficients[-2]
-    for c in coefficients[-3::-1]:
-        total = total * x + c
+def summed(coefficients: Sequence[float], basis: list[Tensor]) -> Tensor:
+    """The polynomial of these coefficients."""
+    total = coefficients[0] * basis[0]
+    for c, polynomial in zip(coefficients[1:], basis[1:], strict=False):
+        total = torch.add(total, polynomial, alpha=c)
     return total
+
+
+def _series(rows: Sequence[Sequence[float]], basis: list[Tensor]) -> Channels:
+    """A polynomial for each row; eagerly of a few points all at once, where a hundred operations on each would be dear."""
+    t = basis[0]
+    if not numerics.few(t):
+        return tuple(summed(row, basis) for row in rows)
+    columns = torch.tensor(rows, dtype=t.dtype).to(t.device).reshape(len(rows), -1, *(1,) * t.dim()).unbind(1)
+    total = columns[0] * t
+    for column, polynomial in zip(columns[1:], basis[1:], strict=False):
+        total = torch.addcmul(total, column, polynomial)
+    return total.unbind(0)
+
+
+def clenshaw(coefficients: Sequence[Tensor], x: Tensor) -> Tensor:
+    """The polynomial of these coefficients, each a number of every point (Clenshaw 1955)."""
+    twice = 2.0 * x
+    later, last = coefficients[-1], torch.addcmul(coefficients[-2], twice, coefficients[-1])
+    for c in coefficients[-3:0:-1]:
+        later, last = last, torch.addcmul(c - later, twice, last)
+    return torch.addcmul(coefficients[0] - later, x, last)

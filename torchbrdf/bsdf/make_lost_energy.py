@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ..quadrature import gauss_legendre
-from .lost_energy import DEGREE_A, DEGREE_LOG, DEGREE_MEAN, DEGREE_X, REACH, Fit, Lost, Rough, centred, shape_of
+from .lost_energy import DEGREE_A, DEGREE_LOG, DEGREE_MEAN, DEGREE_X, REACH, Fit, Lost, Rough, centred, chebyshev, shape_of
 from .rough_conductor import RoughConductor
 
 CASES = (
@@ -22,6 +22,7 @@ CASES = (
     ("blinn", "v_cavity"),
 )
 ORDER, CHUNK, ROUNDS = 128, 16, 60
+RIDGE = 1e-4  # keeps the two parts of the average from growing large and cancelling
 FLOOR = {"ggx": 0.002}  # what an error of p counts beside one of L, so that averages at small alpha are right, too; else 0.015
 HEAD = '''"""Made by ``python -m torchbrdf.bsdf.make_lost_energy``: the coefficients of :mod:`~torchbrdf.bsdf.lost_energy`."""
 
@@ -94,10 +95,10 @@ def _grid(count_x: int, count_a: int) -> tuple[Tensor, Tensor]:
 
 
 def _polynomial(base: np.ndarray, p: np.ndarray, z: np.ndarray, t: np.ndarray, floor: float) -> tuple[tuple[float, ...], ...]:
-    """Rows of p, of powers of z and t."""
-    from numpy.polynomial import chebyshev
+    """Rows of p, by degree in z and t."""
+    from numpy.polynomial.chebyshev import chebvander
 
-    parts = chebyshev.chebvander(z, DEGREE_X), chebyshev.chebvander(t, DEGREE_A)
+    parts = chebvander(z, DEGREE_X), chebvander(t, DEGREE_A)
     columns = np.einsum("np,nq->npq", *parts).reshape(len(p), -1)
     doubt, best = np.ones(len(p)), (np.inf, np.zeros(columns.shape[1]))
     for _ in range(ROUNDS):
@@ -108,27 +109,18 @@ def _polynomial(base: np.ndarray, p: np.ndarray, z: np.ndarray, t: np.ndarray, f
         best = min(best, (error.max(), c), key=lambda pair: pair[0])
         doubt = doubt * (error / error.max() + 0.02)
         doubt /= doubt.max()
-    return tuple(map(tuple, _powers(best[1].reshape(DEGREE_X + 1, DEGREE_A + 1))))
-
-
-def _powers(c: np.ndarray) -> np.ndarray:
-    """Coefficients of Chebyshev polynomials in two arguments as those of powers."""
-    from numpy.polynomial import chebyshev
-
-    for axis in (0, 1):
-        c = np.apply_along_axis(lambda row: np.pad(q := chebyshev.cheb2poly(row), (0, len(row) - len(q))), axis, c)
-    return c
+    return tuple(map(tuple, best[1].reshape(DEGREE_X + 1, DEGREE_A + 1)))
 
 
 def _mean(bare: Fit) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """The average of the fit itself over diffuse light, so that the lobe returns L whatever the error of L."""
     alpha = torch.from_numpy(np.concatenate([np.geomspace(1e-5, 1.0, 100), np.linspace(0.01, 1.0, 120)]))
     average = exact_mean(bare, alpha)
-    t = centred(alpha)
-    powers = [t**k for k in range(DEGREE_MEAN + 1)] + [torch.log(alpha) * t**k for k in range(DEGREE_LOG + 1)]
+    basis = chebyshev(centred(alpha), DEGREE_MEAN)
+    both = torch.stack([*basis, *(torch.log(alpha) * t for t in basis[: DEGREE_LOG + 1])], -1)
     weight = 0.1 + alpha  # the rougher, the more is lost
-    columns = torch.stack(powers, -1) * (weight * alpha * alpha / average)[:, None]
-    c = np.linalg.lstsq(columns.numpy(), weight.numpy(), rcond=None)[0]
+    columns = torch.cat([both * (weight * alpha * alpha / average)[:, None], RIDGE * torch.eye(both.shape[1], dtype=both.dtype)])
+    c = np.linalg.lstsq(columns.numpy(), np.pad(weight.numpy(), (0, both.shape[1])), rcond=None)[0]
     return tuple(c[: DEGREE_MEAN + 1]), tuple(c[DEGREE_MEAN + 1 :])
 
 
