@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from .. import arguments, numerics, parameters
+from .. import arguments, numerics, parameters, quadrature
 from ..geometry import Channels, Layout, each
 from ..interval import UNIT, Interval
 from ..value import COLOUR, Value, param, value
@@ -37,6 +37,15 @@ from .dielectric_average import dielectric_average
 
 __all__ = ["Amplitudes", "amplitudes", "conductor", "dielectric", "dielectric_average", "refraction_cosine", "schlick"]
 ETA = Interval(0.0, open_low=True, typical=(1.2, 2.5), hard=(0.5, 1.0, 1.0 + 2.0**-20, 10.0), flat=(1.0,))
+
+
+def _average_rule(order: int) -> Tensor:
+    """Cosines and weights ``[2, order]``, of the square of Gauss's nodes: 4 x^3 dx is 2 mu d mu."""
+    x, weight = quadrature.gauss_legendre(order)
+    return torch.stack([x * x, 4.0 * x**3 * weight])
+
+
+AVERAGE = _average_rule(10)
 
 
 def schlick(cos_i: Tensor, f0: Tensor | float) -> Tensor:
@@ -63,6 +72,15 @@ class Fresnel(Value):
     def kink_distance(self, layout: Layout, cos: Tensor) -> Tensor:
         """How far the cosine ``[...]`` is from where the term is not smooth; nowhere, unless a term says otherwise."""
         return torch.ones_like(cos)
+
+    def average(self, layout: Layout) -> Channels:
+        """Channels of the reflectance of diffuse light, 2 times the integral of F(cos) cos: by Gauss's rule in the root of the cosine.
+
+        Of 10 nodes: to 1e-6 for conductors of k >= 1, to 5e-4 without edges inside; 0.04 at worst, where total reflection begins.
+        """
+        axes = len(self.batch_shape) + int(layout.wide) if layout.rank is None else 1 + layout.rank
+        cos, weight = AVERAGE.to(layout.device, layout.dtype).reshape(2, -1, *(1,) * axes).unbind(0)
+        return tuple((f * weight).sum(0) for f in self.terms(layout, cos))
 
     @property
     def channels(self) -> int:
@@ -104,6 +122,10 @@ class Dielectric(Fresnel):
 
     def terms(self, layout: Layout, cos: Tensor) -> Channels:
         return each(lambda eta: dielectric(cos, eta, self.method), layout.colour(self.eta))
+
+    def average(self, layout: Layout) -> Channels:
+        """In closed form, :func:`dielectric_average`."""
+        return each(dielectric_average, layout.colour(self.eta))
 
     def kink_distance(self, layout: Layout, cos: Tensor) -> Tensor:
         """The distance of g^2 from 0, its value at the critical angle."""
@@ -167,3 +189,7 @@ class Schlick(Fresnel):
         grazing = _fifth_power(numerics.positive(1.0 - cos))  # once for all channels; cos may exceed 1 by rounding
         rest = 1.0 - grazing
         return each(lambda f0: torch.addcmul(grazing, f0, rest), layout.colour(self.f0))
+
+    def average(self, layout: Layout) -> Channels:
+        """``f0 + (1 - f0) / 21``"""
+        return each(lambda f0: f0 + (1.0 - f0) * (1.0 / 21.0), layout.colour(self.f0))
