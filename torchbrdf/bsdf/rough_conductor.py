@@ -165,9 +165,10 @@ class RoughConductor(Bsdf):
         found = nearest(super().kink_distance(g), fresnel_kink(self.fresnel, g))
         if self.shadowing != "v_cavity":
             return found
-        larger, smaller = torch.maximum(g.cos_i, g.cos_o), torch.minimum(g.cos_i, g.cos_o)
-        lit = 4.0 * (larger + smaller) * smaller - g.half2  # > 0 where nothing is hidden
-        return nearest(found, torch.maximum(lit.abs(), torch.zeros_like(lit)), torch.where(lit < 0, larger - smaller, 1.0))
+        ci, co = g.cos_i.abs(), g.cos_o.abs()
+        larger, smaller = torch.maximum(ci, co), torch.minimum(ci, co)
+        lit = 4.0 * smaller - g.half2 * numerics.reciprocal_or_zero(larger + smaller)  # > 0 where nothing is hidden
+        return nearest(found, lit.abs(), torch.where(lit < 0, larger - smaller, 1.0))
 
     @property
     def energy_bound(self) -> Tensor | None:

@@ -39,20 +39,21 @@ class F82Tint(Fresnel):
         return m.where(m.positive(found), found, 0)
 
     def terms(self, layout: Layout, cos: Tensor) -> Channels:
-        return tuple(map(numerics.positive, self._unheld(layout, cos)))
+        return tuple(numerics.positive(curve - lost) for curve, lost in self._parts(layout, cos))
 
     def kink_distance(self, layout: Layout, cos: Tensor) -> Tensor:
-        """How far the curve is from 0, below which it is held."""
-        away = torch.stack(torch.broadcast_tensors(*(f.abs() for f in self._unheld(layout, cos))))
-        return away.amin(0)
+        """How far the dip is from taking all of the curve, as a share of both; beyond, the term is held to 0."""
+        away = [(curve - lost).abs() * numerics.reciprocal_or_zero(curve + lost) for curve, lost in self._parts(layout, cos)]
+        away = [torch.where(curve > 0, d, 1.0) for d, (curve, _) in zip(away, self._parts(layout, cos), strict=True)]
+        return torch.stack(torch.broadcast_tensors(*away)).amin(0)
 
-    def _unheld(self, layout: Layout, cos: Tensor) -> Channels:
+    def _parts(self, layout: Layout, cos: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Schlick's curve and what is taken off, per channel."""
         m = numerics.positive(1.0 - cos)  # cos may exceed 1 by rounding
         m2 = m * m
         grazing = m2 * m2 * m
         dip, rest, at_82 = cos * grazing * m / LARGEST, 1.0 - grazing, (1.0 - AT_82_DEGREES) ** 5
-
-        def reflectance(f0: Tensor, tint: Tensor) -> Tensor:
-            return f0 * rest + grazing - dip * (1.0 - tint) * (f0 * (1.0 - at_82) + at_82)
-
-        return each(reflectance, layout.colour(self.f0), layout.colour(self.tint))
+        f0s, tints = layout.colour(self.f0), layout.colour(self.tint)
+        curves = each(lambda f0, tint: (f0 * rest + grazing).expand_as(f0 * tint * m), f0s, tints)
+        dips = each(lambda f0, tint: dip * (1.0 - tint) * (f0 * (1.0 - at_82) + at_82), f0s, tints)
+        return list(zip(curves, dips, strict=True))

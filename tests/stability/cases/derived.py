@@ -92,8 +92,15 @@ def case(
         vectors=True,
         kinks={"kink_distance of the model": lambda x: kinked(x, specs, make)},
         outside={"at the horizon, up to rounding": points.near_horizon},
+        outside_twice={"a vector so short that 1 / (length alpha^2) overflows": too_short} if "alpha" in specs else {},
         source=source,
     )
+
+
+def too_short(x: Columns) -> Any:
+    """Second derivatives are 0 there, where a lobe is flushed to 0, or leave the dtype; what is 0 times that is not known."""
+    lengths = [np.linalg.norm(stacked(x, k), axis=1) for k in ("wi", "wo", "n")]
+    return np.minimum.reduce(lengths) * x["alpha"] ** 2 < 16 / x.working.max
 
 
 def column(spec: Param, draw: Draw) -> np.ndarray:
