@@ -80,7 +80,7 @@ def test_float32_and_below_the_range_of_the_fit(alpha):
     model = tb.RoughConductor(alpha, energy="conserving")
     exact, found = model._lost_o(model.viewer(w)), model._lost_o(model.viewer(w.float()))
     assert (found - exact).abs().max() < 3e-5
-    assert (model.directional_albedo(w.float()) == 1.0).all()
+    assert (model.directional_albedo(w.float()) - 1.0).abs().max() < 2e-4
     f = model.evaluate(w[:, None], w)
     assert ((model.evaluate(w.float()[:, None], w.float()) - f).abs() <= 2e-4 * f + 1e-6 * f.max()).all()
 

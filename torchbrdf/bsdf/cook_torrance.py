@@ -34,7 +34,7 @@ Torrance 1982, *A reflectance model for computer graphics*, ACM TOG 1(1).
 >>> up, copper = torch.tensor([0.0, 0.0, 1.0]), tb.Conductor.named("Cu")
 >>> printed, modern = (tb.CookTorrance(0.3, 0.5, 0.2, copper, normalization=n) for n in ("1982", "modern"))
 >>> [[round(x, 3) for x in m.directional_albedo(up).tolist()] for m in (printed, modern)]
-[[2.02, 1.397, 1.227], [0.618, 0.462, 0.419]]
+[[2.02, 1.397, 1.226], [0.618, 0.462, 0.419]]
 """
 
 from typing import Any

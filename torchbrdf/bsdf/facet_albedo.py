@@ -72,8 +72,10 @@ def _normals(wo: Vec, rough: Rough, chunk: Tensor) -> tuple[Vec, Tensor]:
     c = torch.where(wo.z > 0, wo.z, 1.0)
     x, y = wo.x * rough.x, wo.y * rough.y
     k = numerics.safe_sqrt(x * x + y * y)
-    inverse = numerics.reciprocal_or_zero(k)
-    along_x, along_y = x * inverse + (1.0 - numerics.step(k)), y * inverse
+    # Within rounding of the normal every azimuth is as good; taken as it comes, it would turn the nodes.
+    off = numerics.step(k - 16.0 * torch.finfo(k.dtype).eps)
+    inverse = numerics.reciprocal_or_zero(k) * off
+    along_x, along_y = x * inverse + (1.0 - off), y * inverse
     slope_x, slope_y = rough.x * (along_x * cos_t - along_y * sin_t), rough.y * (along_y * cos_t + along_x * sin_t)
     m2 = slope_x * slope_x + slope_y * slope_y
     towards = k * cos_t

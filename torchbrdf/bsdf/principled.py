@@ -203,5 +203,5 @@ class Principled(Bsdf):
         return found if self.names == ("diffuse",) else nearest(found, g.wi_h)
 
     def _layers(self, viewer: Viewer) -> Layers:
-        made: Layers = viewer.once(self, lambda: Layers(self, viewer))
+        made: Layers = viewer.once(self, lambda: Layers(self.map(numerics.widen), viewer))  # slopes of half types are added up in float32
         return made

@@ -30,7 +30,7 @@ Sources: Torrance & Sparrow 1967; Walter et al. 2007, eq. 20; visible normals He
 >>> import torch, torchbrdf as tb
 >>> gold = tb.RoughConductor(0.2, tb.Conductor.named("Au"))
 >>> [round(x, 2) for x in gold.directional_albedo(torch.tensor([[0.6, 0.0, 0.8]]))[0].tolist()]
-[0.89, 0.74, 0.38]
+[0.89, 0.74, 0.39]
 >>> [round(x, 2) for x in gold.replace(energy="conserving").directional_albedo(torch.tensor([[0.6, 0.0, 0.8]]))[0].tolist()]
 [0.95, 0.78, 0.4]
 """
