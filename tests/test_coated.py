@@ -114,6 +114,7 @@ def test_another_base_is_near_to_what_light_does():
     assert torch.allclose(coated.evaluate(wi, wo), expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_base_that_is_not_lamberts_signs():
     report = tb.testing.check(tb.Coated(0.5 * (tb.Lambert(0.5) + Minnaert([0.8, 0.5, 0.3], 1.7)), 1.5))
     assert report.ok, f"\n{report}"

@@ -119,6 +119,7 @@ def test_an_environment_among_the_lights_keeps_its_row(graphs):
     torch.testing.assert_close(tb.compile(plan)(g, mirror, lights, per_light=True), plan(g, mirror, lights, per_light=True))
 
 
+@pytest.mark.slow
 def test_lights_of_one_channel_and_of_three(graphs):
     g, grey, lights = sheet(4), tb.Lambert(0.5), [tb.PointLight([0.0, 0.0, 3.0], 9.0), points(2)]
     plan = tb.plan(g, grey, lights)
@@ -154,6 +155,7 @@ def test_a_network_is_asked_once_for_all_lights(graphs):
     assert len(graphs) == 2, "the material, and the light"
 
 
+@pytest.mark.slow
 def test_a_look_up_has_the_gradients_of_eager(graphs):
     g = textured(4)
     made = shader(g, tb.nn.Texture(0.2 + 0.6 * torch.rand(4, 5, 3)))

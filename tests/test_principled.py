@@ -176,6 +176,7 @@ def test_a_material_decides_when_it_is_made():
     assert tb.nn.Material(tb.Principled, base_color=0.5, metallic=0.5)(g).has("metal")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "off"),
     [
