@@ -100,7 +100,8 @@ def case(
 def too_short(x: Columns) -> Any:
     """Second derivatives are 0 there, where a lobe is flushed to 0, or leave the dtype; what is 0 times that is not known."""
     lengths = [np.linalg.norm(stacked(x, k), axis=1) for k in ("wi", "wo", "n")]
-    return np.minimum.reduce(lengths) * x["alpha"] ** 2 < 16 / x.working.max
+    shortest = np.minimum.reduce([np.where(length > 0, length, 1.0) for length in lengths])  # no vector is no question
+    return shortest * x["alpha"] ** 2 < 16 / x.working.max
 
 
 def column(spec: Param, draw: Draw) -> np.ndarray:
