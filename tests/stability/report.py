@@ -205,7 +205,7 @@ the numbers of the dtype. What a value and a slope *ought* to be at an edge is s
 | slope, everyday slope | the largest error of a first derivative at everyday inputs, relative to the derivative or the value, whichever is larger (from vectors: to the length of the gradient); half types round the slope itself |
 | off, slopes off by > 1e-4 | the share of all points at which a first derivative is wrong by more than 1e-4 in that sense (4 eps for half types): extremes, where rounding the inputs changes as much |
 | second | the same as *slope* for second derivatives; compiled, it is the Hessian times (1, ..., 1), by forward over reverse, in float32 |
-| excluded points | how many points were left out of the errors, and why; less than 1 % together |
+| excluded points | how many points were left out of the errors, and why; less than 1 % together, overflows of the dtype apart |
 | (eager) | the figure in brackets is the eager one, beside the compiled one |
 
 | unit | one of it is |

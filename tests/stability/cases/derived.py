@@ -111,7 +111,8 @@ def column(spec: Param, draw: Draw) -> np.ndarray:
     low, high = spec.constraint.typical or (spec.constraint.low, spec.constraint.high)
     count = points.rows_of(draw)
     bulk = draw.spread(count, low, high) if low > 0 and high > 10 * low else draw.uniform(count, low, high)
-    hard = [x for x in spec.constraint.extremes() if abs(x) <= draw.info.max]
+    # Nor a roughness whose distribution peaks, at 1 / (pi alpha^2), beyond the dtype.
+    hard = [x for x in spec.constraint.extremes() if abs(x) <= draw.info.max and (x == 0 or 1 / x**2 <= draw.info.max)]
     return np.where(draw.uniform(count) < 0.1, draw.rng.choice(hard, count), bulk) if hard else bulk
 
 
