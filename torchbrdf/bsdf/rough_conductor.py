@@ -81,7 +81,7 @@ class RoughConductor(Bsdf):
         {"distribution": "beckmann", "shadowing": "smith_correlated"},
         {"distribution": "blinn", "shadowing": "v_cavity"},
         {"distribution": "ggx", "shadowing": "smith_separable", "alpha": (0.4, 0.15)},
-        {"distribution": "beckmann", "shadowing": "smith_separable", "smith": "walter", "alpha": (0.15, 0.4)},
+        {"distribution": "beckmann", "shadowing": "smith_separable", "smith": "walter"},
         {"distribution": "ggx", "energy": "conserving"},
         {"distribution": "beckmann", "shadowing": "smith_separable", "alpha": (0.3, 0.8), "energy": "conserving"},
     )
