@@ -80,7 +80,7 @@ class RoughDielectric(Bsdf):
 
     variants = (
         {"distribution": "ggx"},
-        {"distribution": "ggx", "shadowing": "v_cavity", "mode": "flux"},
+        {"distribution": "beckmann", "shadowing": "v_cavity", "mode": "flux"},
         {"distribution": "beckmann", "shadowing": "smith_separable", "smith": "walter", "alpha": (0.4, 0.15)},
         {"distribution": "blinn", "alpha": (0.3, 0.6), "part": "reflection"},
         {"part": "transmission"},

@@ -39,7 +39,8 @@ def absent_share(bsdf: Bsdf, wo: Tensor) -> Tensor:
         return torch.zeros(len(wo), dtype=wo.dtype)
     u = _lattice(torch.arange(2**17 if lost else 2**13, dtype=wo.dtype))
     _, of = spread_samples(bsdf, wo, u)
-    return 1.0 - torch.bincount(of, minlength=len(wo)) / len(u)
+    share = 1.0 - torch.bincount(of, minlength=len(wo)) / len(u)
+    return share.clamp_min(1.0 / len(u)) if lost else share  # what is rarer than that, so many numbers may have missed
 
 
 def _lattice(i: Tensor) -> Tensor:
