@@ -24,8 +24,8 @@ def conductor(cos_i: Tensor, eta: Tensor | float, k: Tensor | float, method: str
     """Exact unpolarised reflectance of a conductor of complex index ``eta + i k``, in [0, 1].
 
     ``cos_i`` in [0, 1], ``eta`` > 0, ``k`` >= 0, broadcast. ``k = 0`` is the dielectric, one-sided derivative included.
-    ``method``: ``"standard"`` is within 16 ulp everywhere (float32: indices up to 1e9, second derivatives at normal incidence
-    from 1e-12 on); ``"extended"`` scales everything, for indices up to 1e19, and takes about twice the time; ``"plain"`` is a little
+    ``method``: ``"standard"`` is within 16 ulp everywhere (float32: indices up to 1e18, second derivatives at normal incidence
+    from 1e-12 on); ``"extended"`` scales everything, and takes about twice the time; ``"plain"`` is a little
     faster than ``"standard"`` and, for small k, loses all digits in float32 at the critical angle.
     """
     formula = METHODS[arguments.one_of(method, "method", METHODS)]
@@ -62,20 +62,22 @@ def _from_real_part(c: Tensor, n: Tensor, k: Tensor, real: Tensor) -> Tensor:
 
 
 def _lift(real: Tensor, half_imag: Tensor) -> Tensor:
-    """A power of two: 1, but where z^2 is so small that its square would underflow; z times this has a square and a fourth power.
+    """A power of two: 1, but where the square of z^2 would underflow or overflow; z times this has a square and a fourth power.
 
-    So it is at the critical angle, at grazing between nearly equal media, and for a tiny index at normal incidence.
+    Small it is at the critical angle, at grazing between nearly equal media, and for a tiny index at normal incidence.
     """
-    least, power = _lifts(real.dtype)
-    small = torch.maximum(real.detach().abs(), half_imag.detach()) < least
-    return 1.0 + power * small.to(real.dtype)  # exactly the power: 1 is less than half of its last bit
+    least, up, most, down = _lifts(real.dtype)
+    size = torch.maximum(real.detach().abs(), half_imag.detach())
+    small, large = (size < least).to(size.dtype), (size > most).to(size.dtype)
+    return (1.0 + up * small - large) + down * large  # exactly the powers: 1 is less than half of the last bit of the larger
 
 
-def _lifts(dtype: torch.dtype) -> tuple[float, float]:
-    """Below what z^2 is lifted, and by how much z is: the smallest number of the dtype, times its square, to the root of a normal one."""
+def _lifts(dtype: torch.dtype) -> tuple[float, float, float, float]:
+    """Below what z^2 is lifted, and by how much z is; above what it is lowered, and by how much: to numbers of safe squares."""
     least = numerics.negligible(dtype)
     smallest = numerics.tiny(dtype) * torch.finfo(dtype).eps
-    return 8.0 * least, 2.0 ** math.ceil(0.5 * (math.log2(least) - math.log2(smallest)))
+    quarter = round(0.25 * math.log2(torch.finfo(dtype).max))
+    return 8.0 * least, 2.0 ** math.ceil(0.5 * (math.log2(least) - math.log2(smallest))), 4.0**quarter / 64.0, 2.0 ** (-quarter - 2)
 
 
 def _real_root(m: Tensor, real: Tensor, half_imag: Tensor) -> Tensor:
