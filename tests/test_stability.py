@@ -7,7 +7,7 @@ import numpy as np
 import oracle
 import pytest
 import torch
-from stability import bounds, curvature, dual, kept, measure, report, rivals
+from stability import bounds, curvature, dual, kept, measure, report, rivals, truth
 from stability.case import FEWER, POINTS
 from stability.case import Draw as Grid
 from stability.cases import CASES, derived, fresnel, lobes, microfacet
@@ -182,6 +182,18 @@ def test_a_truth_is_kept_until_its_sources_change(tmp_path, monkeypatch):
     truth(WHOLE["fresnel.schlick"], torch.float32)
     truth(case, torch.float64)
     assert len(calls) == 4, "another grid, and another dtype"
+
+
+@pytest.mark.parametrize("name", ["RoughDielectric, refraction", "fresnel.conductor", "normalize"])
+def test_fewer_bits_are_enough_where_nothing_is_huge_or_tiny(name, monkeypatch):
+    """Of float64: every digit that is kept, of values and slopes."""
+    case = WHOLE[name].on(100)
+    points = case.drawn(torch.float64)[-100:]
+    few = truth.by_bits(lambda p: truth.values_and_slopes(case, p), points, torch.float64)
+    monkeypatch.setattr(truth, "TAME", 0)
+    many = truth.by_bits(lambda p: truth.values_and_slopes(case, p), points, torch.float64)
+    least = torch.finfo(torch.float64).tiny
+    assert max(abs(a - b) / max(abs(b), least) for a, b in zip(few.ravel(), many.ravel(), strict=True) if gmpy2.is_finite(b)) < 2.0**-150
 
 
 def test_derivatives_of_the_oracle():

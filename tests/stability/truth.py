@@ -14,6 +14,8 @@ from .kept import kept, shortened
 
 SECOND_POINTS = 600  # of the everyday range, at which all second derivatives are compared; of a smaller grid, a third of them
 
+TAME = 64  # a power of two
+
 
 @dataclasses.dataclass(frozen=True)
 class Truth:
@@ -60,16 +62,17 @@ def values_and_slopes(case: Case, points: np.ndarray) -> np.ndarray:
 
 
 def by_bits(compute: Callable[[np.ndarray], np.ndarray], points: np.ndarray, dtype: torch.dtype) -> np.ndarray:
-    """``compute`` of some points, row by row: in the bits of the dtype where an input is huge or tiny, in those of float32 elsewhere.
+    """``compute`` of some points, row by row: of float64 in half the bits where no input is huge or tiny.
 
-    Numbers of 53 bits within 2^+-64, squared twice, need 4 (53 + 64) bits beside the :data:`~stability.kept.DIGITS` that are kept.
+    Numbers of 53 bits within 2^+-TAME, squared twice, need 4 (53 + TAME) bits beside the :data:`~stability.kept.DIGITS` that are kept;
+    and what is left of two terms that cancel must lie as far below the smallest normal number, 2^-1022.
     """
     sizes = np.abs(points)
-    tame = ((sizes == 0) | ((sizes > 2.0**-64) & (sizes < 2.0**64))).all(1) & (dtype == torch.float64)
+    tame = ((sizes == 0) | ((sizes > 2.0**-TAME) & (sizes < 2.0**TAME))).all(1) & (dtype == torch.float64)
     found: dict[bool, np.ndarray] = {}
-    for which, of in ((True, torch.float32), (False, dtype)):
+    for which, bits in ((True, dual.BITS[dtype] // 2), (False, dual.BITS[dtype])):
         if (tame == which).any():
-            dual.set_precision(of)
+            gmpy2.get_context().precision = bits
             found[which] = shortened(compute(points[tame == which]))
     dual.set_precision(dtype)
     result = np.empty((len(points), *next(iter(found.values())).shape[1:]), dtype=object)
