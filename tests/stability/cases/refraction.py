@@ -13,7 +13,7 @@ from torchbrdf.testing.textbook import Point
 
 from ..case import Columns, Draw
 from . import points
-from .derived import FEW, M, NEAR, case, column
+from .derived import FEW, NEAR, M, case, column
 from .vectors import directions, stacked
 
 SPECS = {name: tb.RoughDielectric._params[name] for name in ("alpha", "eta")}
