@@ -57,7 +57,11 @@ def values_and_slopes(case: Case, points: np.ndarray) -> np.ndarray:
     outs = case.truth(*dual.inputs(points))
     total = contracted(outs)
     slopes = total.parts if isinstance(total, dual.Dual) else {}
-    row = [*(dual.plain(o) for o in outs), *(sensitivity(case, points, o) for o in outs), *(slopes.get(j, 0) for j in range(len(case.inputs)))]
+    row = [
+        *(dual.plain(o) for o in outs),
+        *(sensitivity(case, points, o) for o in outs),
+        *(slopes.get(j, 0) for j in range(len(case.inputs))),
+    ]
     return np.stack([x + np.full(len(points), gmpy2.mpfr(0), dtype=object) for x in row], 1)
 
 
