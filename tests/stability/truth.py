@@ -12,7 +12,7 @@ from . import dual
 from .case import FEWER, Case
 from .kept import kept, shortened
 
-SECOND_POINTS = 600  # of the everyday range, at which all second derivatives are compared; of a smaller grid, a third of them
+SECOND_POINTS = 600  # of the everyday range, at which all second derivatives are compared; of a smaller grid, a sixth of them
 
 TAME = 64  # a power of two
 
@@ -105,7 +105,7 @@ def second_truth(case: Case, dtype: torch.dtype) -> tuple[np.ndarray, np.ndarray
     """Some everyday points (their numbers) and all second derivatives there ``[M, n, n]``."""
     truth = truth_of(case, dtype)
     chosen = np.flatnonzero(truth.everyday)
-    chosen = chosen[:: max(1, len(chosen) // (SECOND_POINTS if case.points > FEWER else SECOND_POINTS // 3))]
+    chosen = chosen[:: max(1, len(chosen) // (SECOND_POINTS if case.points > FEWER else SECOND_POINTS // 6))]
     return chosen, by_bits(lambda some: hessian(case, some), truth.points[chosen], dtype)
 
 
