@@ -89,7 +89,8 @@ def trouble(scene, material, shade=tb.shade):
     """What is not finite though the truth is a number of its dtype, and what is not 0 though nothing is to be seen there."""
     g = scene[0]
     image, slopes = shaded(scene, material, shade)
-    true_image, true_slopes = shaded(as_float64(scene), material.map(lambda t: held(t, g.position.dtype)))
+    itself = g.position.dtype == torch.float64 and shade is tb.shade
+    true_image, true_slopes = (image, slopes) if itself else shaded(as_float64(scene), material.map(lambda t: held(t, g.position.dtype)))
     cos = (tb.normalize(g.normal.double()) * tb.normalize(g.view.double())).sum(-1)
     hidden = ~g.valid.squeeze(-1)
     if not sees_below(material):
@@ -115,16 +116,18 @@ RUNS = [
     ("by hand", torch.float16, SOME),
     ("mesh", torch.float32, SOME),
 ]
-RUNS += [pytest.param(kind, dtype, EVERY, marks=pytest.mark.slow) for kind in KINDS for dtype in NAMES if (kind, dtype, EVERY) not in RUNS]
+RUNS += [pytest.param(kind, dtype, EVERY, marks=pytest.mark.slow) for kind in KINDS for dtype in (torch.float64, torch.float32)]
+# Halves are computed in float32: a third of the materials before each kind of points, not the same.
+RUNS += [pytest.param(kind, dtype, FEW, marks=pytest.mark.slow) for kind in KINDS for dtype in (torch.bfloat16, torch.float16)]
 
 
 @pytest.mark.parametrize(("kind", "dtype", "stride"), RUNS, ids=str)
 def test_image_and_gradients_are_finite(kind, dtype, stride):
-    """Every material with every parameter at every hard value, under every light, at every hard point."""
+    """Every material (of halves some) with every parameter at every hard value, under every light, at every hard point."""
     bad = []
     # float16 ends far below the peak of so narrow a distribution, 3e7, and below what rounding leaves of its slopes.
     narrow = ("alpha = 0.0001", "roughness = 0.01") if dtype == torch.float16 else ()
-    for label, material in [m for m in list(MATERIALS.items())[::stride] if not m[0].endswith(narrow)]:
+    for label, material in [m for m in list(MATERIALS.items())[KINDS.index(kind) :: stride] if not m[0].endswith(narrow)]:
         bad += [f"{label}: {what}" for what in trouble(scene(kind, material, dtype), material)]
     assert not bad, "\n".join(bad[:20])
 

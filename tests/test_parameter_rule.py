@@ -19,6 +19,8 @@ HALF = DTYPES[:2]
 ALL = dict(instances())
 SIDES = ("TwoSided(Phong, -)", "TwoSided(Lambert + Mirror, BlinnPhong + 0.5 (Lambert + Mirror))")  # of the 20 combinations
 MODELS = {label: v for label, v in ALL.items() if isinstance(v, tb.Bsdf) and (not isinstance(v, tb.TwoSided) or label in SIDES)}
+OF_CLASS = [[label for label, v in MODELS.items() if type(v) is cls] for cls in {type(v): None for v in MODELS.values()}]
+FIRST_AND_LAST = {label: MODELS[label] for labels in OF_CLASS for label in (labels[0], labels[-1])}
 TERMS = {label: v for label, v in ALL.items() if isinstance(v, tb.Fresnel)}
 WIDE = tb.Lambert([0.1] * 7) + 0.5 * tb.Phong([0.2] * 7, 5.0, fresnel=tb.Schlick([0.3] * 7)) + tb.Mirror([0.2] * 7)
 UP = torch.tensor([0.0, 0.0, 1.0])
@@ -55,7 +57,8 @@ def test_every_model_is_here():
 @pytest.mark.parametrize("verb", VERBS)
 def test_models_follow_points(verb, dtype):
     w, u = elsewhere(dtype, 5, 3), torch.empty(5, 3, device="meta")
-    for label, model in [*MODELS.items(), ("wide", WIDE)]:
+    models = MODELS if dtype == torch.float16 else FIRST_AND_LAST  # what a variant forgets, it forgets in every dtype
+    for label, model in [*models.items(), ("wide", WIDE)]:
         assert kinds(VERBS[verb](model, w, u)) == {("meta", dtype)}, label
     single = elsewhere(dtype, 3)
     assert kinds(VERBS[verb](WIDE, single, u[0])) == {("meta", dtype)}

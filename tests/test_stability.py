@@ -7,7 +7,7 @@ import numpy as np
 import oracle
 import pytest
 import torch
-from stability import bounds, curvature, dual, kept, measure, report, rivals
+from stability import bounds, curvature, dual, kept, measure, report, rivals, truth
 from stability.case import FEWER, POINTS
 from stability.case import Draw as Grid
 from stability.cases import CASES, derived, fresnel, lobes, microfacet
@@ -38,7 +38,7 @@ def test_single_precision(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dtype", report.DTYPES, ids=report.name_of)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=report.name_of)
 @pytest.mark.parametrize("name", WHOLE)
 def test_whole_grids(name, dtype):
     case = WHOLE[name]
@@ -46,17 +46,29 @@ def test_whole_grids(name, dtype):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=report.name_of)  # run.py stability compiles for all four
-@pytest.mark.parametrize("batch", list(report.batches(CASES)), ids=lambda b: b[0].name)
+@pytest.mark.parametrize("dtype", bounds.HALVES, ids=report.name_of)
+@pytest.mark.parametrize("name", BY_NAME)
+def test_halves(name, dtype):
+    """Computed in float32, whose whole grids are above, and rounded once: the special points, and fewer others than run.py stability."""
+    case = BY_NAME[name]
+    assert bounds.violations(measure.run(case, dtype), case.error, case.vectors, dtype) == []
+
+
+# Compiling takes a minute for eight formulas; run.py stability does it in all four dtypes.
+ONE_A_ROOM = ("fresnel.dielectric", "fresnel.conductor", "Phong lobe (modified)", "microfacet.ggx_d", "microfacet.beckmann_g1", "refract")
+IN_HALF = (*ONE_A_ROOM, "RoughConductor, ggx, anisotropic", "Geometry")
+FUSED = [pytest.param(batch, torch.float32, id=f"{batch[0].name}-float32") for batch in report.batches(CASES)]
+FUSED += [pytest.param([BY_NAME[name] for name in IN_HALF], torch.float16, id="one a room-float16")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("batch", "dtype"), FUSED)
 def test_fusion_undoes_nothing(batch, dtype):
     batch = [case.on(FEWER) for case in batch]
     for case, fused in zip(batch, measure.run_compiled(batch, dtype), strict=True):
         eager = measure.run(case, dtype, second=False)
         assert bounds.undone(fused, eager, case.error) == [], case.name
         assert bounds.violations(fused, case.error, case.vectors, dtype) == [], case.name
-
-
-ONE_A_ROOM = ("fresnel.dielectric", "fresnel.conductor", "Phong lobe (modified)", "microfacet.ggx_d", "microfacet.beckmann_g1", "refract")
 
 
 @pytest.mark.slow
@@ -170,6 +182,18 @@ def test_a_truth_is_kept_until_its_sources_change(tmp_path, monkeypatch):
     truth(WHOLE["fresnel.schlick"], torch.float32)
     truth(case, torch.float64)
     assert len(calls) == 4, "another grid, and another dtype"
+
+
+@pytest.mark.parametrize("name", ["RoughDielectric, refraction", "fresnel.conductor", "normalize"])
+def test_fewer_bits_are_enough_where_nothing_is_huge_or_tiny(name, monkeypatch):
+    """Of float64: every digit that is kept, of values and slopes."""
+    case = WHOLE[name].on(100)
+    points = case.drawn(torch.float64)[-100:]
+    few = truth.by_bits(lambda p: truth.values_and_slopes(case, p), points, torch.float64)
+    monkeypatch.setattr(truth, "TAME", 0)
+    many = truth.by_bits(lambda p: truth.values_and_slopes(case, p), points, torch.float64)
+    least = torch.finfo(torch.float64).tiny
+    assert max(abs(a - b) / max(abs(b), least) for a, b in zip(few.ravel(), many.ravel(), strict=True) if gmpy2.is_finite(b)) < 2.0**-150
 
 
 def test_derivatives_of_the_oracle():

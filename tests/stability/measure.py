@@ -126,8 +126,8 @@ def _compare_second(
         return 0, None
     bad = np.flatnonzero(~np.isfinite(seconds).all((1, 2)) & claimed)
     bad = bad[second_representable(case, dtype, truth.points[bad])] if len(bad) else bad
-    chosen, exact = second_truth(case, dtype)
-    if not len(chosen) or BITS[dtype] < 24:
+    chosen, exact = second_truth(case, dtype) if BITS[dtype] >= 24 else ((), None)
+    if not len(chosen):
         return len(bad), None
     size = np.maximum(np.abs(exact), np.abs(contracted(truth.values))[chosen][:, None, None])
     if case.vectors:

@@ -1,7 +1,7 @@
 """The exact results of a case on its grid: values, slopes, second derivatives."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gmpy2
@@ -12,7 +12,9 @@ from . import dual
 from .case import FEWER, Case
 from .kept import kept, shortened
 
-SECOND_POINTS = 600  # of the everyday range, at which all second derivatives are compared; of a smaller grid, a third of them
+SECOND_POINTS = 600  # of the everyday range, at which all second derivatives are compared; of a smaller grid, a sixth of them
+
+TAME = 64  # a power of two
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,13 +45,44 @@ def contracted(outs: Sequence[Any]) -> Any:
 def truth_of(case: Case, dtype: torch.dtype) -> Truth:
     """Exact values and slopes on the grid of ``dtype``."""
     points = case.drawn(dtype)
-    outs = case.truth(*dual.inputs(points))
-    slopes = contracted(outs).parts if isinstance(contracted(outs), dual.Dual) else {}
-    zero = np.full(len(points), gmpy2.mpfr(0), dtype=object)
     everyday = np.asarray(case.everyday(case.columns(points, dtype)), dtype=bool)
-    values, sizes = [dual.plain(o) for o in outs], [sensitivity(case, points, o) for o in outs]
-    by_input = [slopes.get(j, 0) for j in range(len(case.inputs))]
-    return Truth(points, *([shortened(x + zero) for x in some] for some in (values, by_input, sizes)), everyday)
+    found = by_bits(lambda some: values_and_slopes(case, some), points, dtype).T
+    outs = (len(found) - len(case.inputs)) // 2
+    values, sizes, slopes = (list(some) for some in np.split(found, [outs, 2 * outs]))
+    return Truth(points, values, slopes, sizes, everyday)
+
+
+def values_and_slopes(case: Case, points: np.ndarray) -> np.ndarray:
+    """In a row each: the values, how sensitive they are, and the slopes by input of their weighted sum."""
+    outs = case.truth(*dual.inputs(points))
+    total = contracted(outs)
+    slopes = total.parts if isinstance(total, dual.Dual) else {}
+    row = [
+        *(dual.plain(o) for o in outs),
+        *(sensitivity(case, points, o) for o in outs),
+        *(slopes.get(j, 0) for j in range(len(case.inputs))),
+    ]
+    return np.stack([x + np.full(len(points), gmpy2.mpfr(0), dtype=object) for x in row], 1)
+
+
+def by_bits(compute: Callable[[np.ndarray], np.ndarray], points: np.ndarray, dtype: torch.dtype) -> np.ndarray:
+    """``compute`` of some points, row by row: of float64 in half the bits where no input is huge or tiny.
+
+    Numbers of 53 bits within 2^+-TAME, squared twice, need 4 (53 + TAME) bits beside the :data:`~stability.kept.DIGITS` that are kept;
+    and what is left of two terms that cancel must lie as far below the smallest normal number, 2^-1022.
+    """
+    sizes = np.abs(points)
+    tame = ((sizes == 0) | ((sizes > 2.0**-TAME) & (sizes < 2.0**TAME))).all(1) & (dtype == torch.float64)
+    found: dict[bool, np.ndarray] = {}
+    for which, bits in ((True, dual.BITS[dtype] // 2), (False, dual.BITS[dtype])):
+        if (tame == which).any():
+            gmpy2.get_context().precision = bits
+            found[which] = shortened(compute(points[tame == which]))
+    dual.set_precision(dtype)
+    result = np.empty((len(points), *next(iter(found.values())).shape[1:]), dtype=object)
+    for which, rows in found.items():
+        result[tame == which] = rows
+    return result
 
 
 def sensitivity(case: Case, points: np.ndarray, out: Any) -> Any:
@@ -72,27 +105,26 @@ def second_truth(case: Case, dtype: torch.dtype) -> tuple[np.ndarray, np.ndarray
     """Some everyday points (their numbers) and all second derivatives there ``[M, n, n]``."""
     truth = truth_of(case, dtype)
     chosen = np.flatnonzero(truth.everyday)
-    chosen = chosen[:: max(1, len(chosen) // (SECOND_POINTS if case.points > FEWER else SECOND_POINTS // 3))]
+    chosen = chosen[:: max(1, len(chosen) // (SECOND_POINTS if case.points > FEWER else SECOND_POINTS // 6))]
+    return chosen, by_bits(lambda some: hessian(case, some), truth.points[chosen], dtype)
+
+
+def hessian(case: Case, points: np.ndarray) -> np.ndarray:
+    """Of the weighted sum of the results ``[M, n, n]``."""
     n = len(case.inputs)
-    found = np.full((len(chosen), n, n), gmpy2.mpfr(0), dtype=object)
+    found = np.full((len(points), n, n), gmpy2.mpfr(0), dtype=object)
     for j in range(n):
-        total = contracted(case.truth(*dual.inputs(truth.points[chosen], along=j)))
+        total = contracted(case.truth(*dual.inputs(points, along=j)))
         for i, part in total.parts.items() if isinstance(total, dual.Dual) else ():
             if isinstance(part, dual.Dual) and 0 in part.parts:
-                found[:, i, j] = part.parts[0]
-    return chosen, shortened(found)
+                found[:, i, j] = found[:, j, i] = part.parts[0]
+    return found
 
 
 def second_representable(case: Case, dtype: torch.dtype, points: np.ndarray) -> np.ndarray:
     """Whether every true second derivative at these points is a number of the dtype."""
-    good = np.ones(len(points), dtype=bool)
     dual.set_precision(dtype)
-    for j in range(len(case.inputs)):
-        total = contracted(case.truth(*dual.inputs(points, along=j)))
-        for part in total.parts.values() if isinstance(total, dual.Dual) else ():
-            if isinstance(part, dual.Dual) and 0 in part.parts:
-                good &= representable(part.parts[0] + np.full(len(points), gmpy2.mpfr(0), dtype=object), torch.finfo(dtype).max)
-    return good
+    return representable(hessian(case, points), torch.finfo(dtype).max).all((1, 2))
 
 
 _magnitude_at_most = np.frompyfunc(lambda t, most: bool(gmpy2.is_finite(t)) and abs(t) <= most, 2, 1)

@@ -156,10 +156,12 @@ def atan2(y: Any, x: Any) -> Any:
 
 
 def inputs(columns: np.ndarray, along: int | None = None) -> list[Dual]:
-    """Columns ``[N, n]`` of exact floats as variables; with ``along``, their parts carry the second derivatives by that input."""
+    """Columns ``[N, n]`` of exact floats as variables; with ``along``, the parts of that input and of those after it carry the second
+    derivatives by it (those of the inputs before it are the same, the other way round).
+    """
     exact = np.frompyfunc(gmpy2.mpfr, 1, 1)(columns)
     xs = [exact[:, j].astype(object) for j in range(columns.shape[1])]
     if along is None:
         return [Dual(x, {j: gmpy2.mpfr(1)}) for j, x in enumerate(xs)]
     lower: list[Any] = [Dual(x, {0: gmpy2.mpfr(1)}) if j == along else x for j, x in enumerate(xs)]
-    return [Dual(x, {j: gmpy2.mpfr(1)}, 1) for j, x in enumerate(lower)]
+    return [Dual(x, {j: gmpy2.mpfr(1)} if j >= along else {}, 1) for j, x in enumerate(lower)]
