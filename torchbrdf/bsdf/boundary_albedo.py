@@ -13,7 +13,7 @@ makes it; its errors are :data:`~torchbrdf.bsdf.boundary_albedo_fit.ERRORS`. Of 
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,12 +23,14 @@ from ..geometry import Channels
 from ..interval import Interval
 from ..optics.dielectric import split
 from ..optics.distribution import Rough
+from ..optics.fresnel import Dielectric
 from ..quadrature import gauss_legendre
 from ..vector import Vec
 from .boundary_albedo_fit import TEXT
+from .lost_energy import DEGREE_A as DEGREE_A_LOST
 from .lost_energy import FITS, REACH, Lost, chebyshev, clenshaw, summed
 
-DEGREE_X, DEGREE_A, DEGREE_N = 7, 6, 5
+DEGREE_X, DEGREE_A, DEGREE_N, DEGREE_INSIDE = 7, 6, 5, 10
 COAT = Interval(1.1, 3.0, typical=(1.2, 2.5))
 NODES, WEIGHTS = gauss_legendre(12)
 Rows = tuple[tuple[tuple[float, ...], ...], ...]
@@ -36,11 +38,12 @@ Rows = tuple[tuple[tuple[float, ...], ...], ...]
 
 def read(text: str) -> dict[tuple[str, str], Rows]:
     """The coefficients as the script writes them, by distribution and shadowing: [degree in x][in alpha][in eta]."""
-    found, n, a = {}, DEGREE_N + 1, DEGREE_A + 1
+    found, n = {}, DEGREE_N + 1
     for block in filter(None, text.strip().split("\n\n")):
         name, *words = block.split()
         distribution, shadowing = name.split("+")
         c = tuple(map(float, words))
+        a = (DEGREE_INSIDE if shadowing == "inside" else DEGREE_A) + 1
         lines = [c[k : k + n] for k in range(0, len(c), n)]
         found[distribution, shadowing] = tuple(tuple(lines[k : k + a]) for k in range(0, len(lines), a))
     return found
@@ -51,7 +54,7 @@ BOUNDARY_FITS = read(TEXT)
 
 def inside_reflectance(distribution: str, alpha: Tensor, eta: Tensor) -> Tensor:
     """Mitsuba's ``internal_reflectance``: about the share of diffuse light from inside that one reflection at facets throws back."""
-    by_alpha, by_eta = chebyshev(roughness_argument(alpha), DEGREE_A), chebyshev(index_argument(eta), DEGREE_N)
+    by_alpha, by_eta = chebyshev(roughness_argument(alpha), DEGREE_INSIDE), chebyshev(index_argument(eta), DEGREE_N)
     return _both(BOUNDARY_FITS[distribution, "inside"][0], by_alpha, by_eta)
 
 
@@ -91,9 +94,40 @@ class Boundary(NamedTuple):
 
     def mean_let_in(self) -> Tensor:
         """The average of 1 - E over diffuse light, by Gauss's rule of 12 nodes in the root of the cosine."""
-        like = self.alpha + self.eta
+        like, even = self.alpha + self.eta, self._replace(lost=self.lost._replace(rough=Rough(self.alpha, self.alpha, True)))
         x, weight = (v.to(like).reshape(-1, *(1,) * like.dim()) for v in (NODES, WEIGHTS))
-        return ((1.0 - self.at(x * x)) * (4.0 * x * x * x * weight)).sum(0)
+        return ((1.0 - even.at(x * x)) * (4.0 * x * x * x * weight)).sum(0)
+
+
+def textbook(m: Any, alpha: Any, eta: Any, distribution: str, shadowing: str) -> tuple[Any, Any]:
+    """E as a function of the cosine, and the average of 1 - E, in an arithmetic of :mod:`~torchbrdf.testing.textbook`; isotropic."""
+    fit, reach = FITS[distribution, shadowing], REACH * alpha
+    t, n = _plain((3 * alpha - 1) / (1 + alpha), DEGREE_A_LOST), _plain(2.4 * (eta - 1) / (eta - 0.6) - 1, DEGREE_N)
+    a = _plain(2.2 * alpha / (alpha + 0.1) - 1, DEGREE_A)
+    of_lost = [_dot(row, t) for row in fit.rows]
+    of_cosine = [_dot([_dot(c, n) for c in row], a) for row in BOUNDARY_FITS[distribution, shadowing]]
+
+    def reflected(mu: Any) -> Any:
+        x, w = mu * (1 + reach) / (mu + reach), reach / (mu + reach)
+        p = w * _dot(of_lost, _plain(2 * (m.sqrt(x) if fit.root else x) - 1, len(of_lost) - 1))
+        lost = p * p * x if fit.vanishes else p * p
+        cos = mu + w * alpha / (alpha + 0.3) * _dot(of_cosine, _plain(2 * x - 1, DEGREE_X))
+        cos = m.where(m.positive(cos), m.where(m.positive(1 - cos), cos, 1), 0)
+        return (1 - lost) * Dielectric.textbook(m, cos, eta)
+
+    nodes = zip(NODES.tolist(), WEIGHTS.tolist(), strict=True)
+    return reflected, sum((1 - reflected(x * x + 0 * alpha)) * (4 * x * x * x * weight) for x, weight in nodes)
+
+
+def _plain(x: Any, degree: int) -> list[Any]:
+    found = [1 + 0 * x, x]
+    while len(found) <= degree:
+        found.append(2 * x * found[-1] - found[-2])
+    return found
+
+
+def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    return sum((x * y for x, y in zip(a[1:], b[1:], strict=True)), a[0] * b[0])
 
 
 def _both(row: Sequence[Sequence[float]], by_alpha: list[Tensor], by_eta: list[Tensor]) -> Tensor:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ..optics.dielectric import dielectric
-from .boundary_albedo import DEGREE_A, DEGREE_N, DEGREE_X, REACH, index_argument, roughness_argument
+from .boundary_albedo import DEGREE_A, DEGREE_INSIDE, DEGREE_N, DEGREE_X, REACH, index_argument, roughness_argument
 from .make_lost_energy import CASES, facet_rule
 
 ANGLES = 64  # of Mitsuba's tables
@@ -112,16 +112,16 @@ def inside(distribution: str) -> tuple[np.ndarray, float]:
     """
     from numpy.polynomial.chebyshev import chebvander
 
-    alphas = torch.tensor(0.01 + 0.99 * (0.5 - 0.5 * np.cos(np.pi * (np.arange(12) + 0.5) / 12)) ** 1.5)
+    alphas = torch.tensor(0.01 + 0.99 * (0.5 - 0.5 * np.cos(np.pi * (np.arange(20) + 0.5) / 20)) ** 1.5)
     mu = torch.linspace(0.0, 1.0, ANGLES, dtype=torch.float64).clamp_min(1e-6)
     pairs = [x.flatten() for x in torch.meshgrid(alphas, mu, indexing="ij")]
     reflected, _ = boundary_albedos(distribution, "smith_separable", pairs[1], pairs[0], tuple(1.0 / eta for eta in ETAS))
     mean = 2.0 * (reflected.unflatten(0, (-1, ANGLES)) * mu[:, None]).mean(1)
-    a = chebvander(roughness_argument(alphas).numpy(), DEGREE_A)
+    a = chebvander(roughness_argument(alphas).numpy(), DEGREE_INSIDE)
     n = chebvander(index_argument(torch.tensor(ETAS, dtype=torch.float64)).numpy(), DEGREE_N)
     columns = np.einsum("ma,kn->mkan", a, n).reshape(mean.numel(), -1)
     c = np.linalg.lstsq(columns, mean.numpy().ravel(), rcond=None)[0]
-    return c.reshape(DEGREE_A + 1, DEGREE_N + 1), float(np.abs(columns @ c - mean.numpy().ravel()).max())
+    return c.reshape(DEGREE_INSIDE + 1, DEGREE_N + 1), float(np.abs(columns @ c - mean.numpy().ravel()).max())
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ gloss          True, False              whether the coat's own reflection is par
 =============  =======================  ==================================================================================
 
 The coat reflects as :class:`RoughConductor` with the exact F of ``tb.Dielectric``, once: E is the directional albedo of that lobe
-(:mod:`~torchbrdf.bsdf.boundary_albedo`, a fit for alpha from 0.01 on, within 7e-4; smoother coats are nearer to F). The base gets
+(:mod:`~torchbrdf.bsdf.boundary_albedo`, a fit for alpha from 0.01 on, within 9e-4; smoother coats are nearer to F). The base gets
 T, the rest, with what meets a second facet; scatters :math:`\rho` of it evenly; and of diffuse light from below F_di comes back to it,
 again and again, so that :math:`\rho\,(1 - F_{di})/(1 - \rho F_{di})` of it leaves.
 
@@ -29,7 +29,7 @@ it lets in from above (radiance grows by :math:`\eta^2`, solid angle falls by it
 .. math:: 1 - F_{di} = \bar T / \eta^2, \qquad
    \text{albedo} = E + T\, \frac{\rho\,\bar T/\eta^2}{1 - \rho\,(1 - \bar T/\eta^2)}
 
-which is 1 for :math:`\rho = 1` at every angle: within 1e-3 for alpha in [0.01, 1] (Kelemen & Szirmay-Kalos 2001 with the base below a
+which is 1 for :math:`\rho = 1` at every angle: within 9e-4 for alpha in [0.01, 1] (Kelemen & Szirmay-Kalos 2001 with the base below a
 boundary as of Saunderson 1942; with alpha towards 0 it is ``Coated`` over ``Lambert``). Along two axes the fit of E is approximate, as
 that of ``RoughConductor``; ``energy_bound`` is then None, as it is for "mitsuba".
 
@@ -46,7 +46,7 @@ Reciprocal. One index for all channels. Not smooth at the horizon, for wi = -wo,
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -60,7 +60,7 @@ from ..value import COLOUR, SCALAR, param, value
 from ..vector import Vec
 from . import microfacets
 from .base import Bsdf, nearest
-from .boundary_albedo import BOUNDARY_FITS, COAT, Boundary, inside_reflectance
+from .boundary_albedo import BOUNDARY_FITS, COAT, Boundary, inside_reflectance, textbook
 from .combine import either
 from .lambert import Lambert
 from .lobe import Draw, Lobe
@@ -166,6 +166,17 @@ class RoughPlastic(Bsdf):
 
     def kink_distance(self, g: Geometry) -> Tensor:
         return nearest(super().kink_distance(g), self._coat(g.viewer).kink_distance(g)) if self.gloss else super().kink_distance(g)
+
+    @staticmethod
+    def textbook(m: Any, p: Any, albedo: Any, alpha: Any, eta: Any, **names: Any) -> Any:
+        if isinstance(alpha, tuple) or names["coupling"] == "mitsuba" or not names["gloss"]:
+            return NotImplemented
+        by = {"distribution": names["distribution"], "shadowing": names["shadowing"]}
+        reflected, mean = textbook(m, alpha, eta, **by)
+        t_i, t_o = (1 - reflected(m.where(p.above, c, 1)) for c in (p.cos_i, p.cos_o))
+        body = albedo * t_i * t_o / (m.pi * eta * eta * (1 - albedo * (1 - mean / (eta * eta))))
+        coat = {"fresnel": lambda cos: Dielectric.textbook(m, cos, eta), "smith": "exact", "energy": "single"}
+        return body + RoughConductor.textbook(m, p, alpha, **coat, **by)
 
     # Once for a viewer ---------------------------------------------------------------------------------------------------
 
