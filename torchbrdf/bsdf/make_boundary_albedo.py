@@ -13,10 +13,11 @@ from torch import Tensor
 from ..optics.dielectric import dielectric
 from .boundary_albedo import DEGREE_A, DEGREE_INSIDE, DEGREE_N, DEGREE_X, REACH, index_argument, roughness_argument
 from .make_lost_energy import CASES, facet_rule
+from .rough_dielectric import RoughDielectric
 
 ANGLES = 64  # of Mitsuba's tables
 ETAS = (1.1, 1.14, 1.2, 1.28, 1.38, 1.5, 1.65, 1.8, 2.0, 2.25, 2.5, 2.75, 3.0)
-ORDER, CHUNK, ROUNDS = 80, 16, 20
+ORDER, ORDER_THROUGH, CHUNK, ROUNDS = 80, 24, 16, 20
 HEAD = '''"""Made by ``python -m torchbrdf.bsdf.make_boundary_albedo``: the coefficients of :mod:`~torchbrdf.bsdf.boundary_albedo`."""
 
 # The largest error of E but for that of L (of "inside" that of the mean), over all cosines, alpha in [0.01, 1], eta in [1.1, 3]
@@ -124,10 +125,27 @@ def inside(distribution: str) -> tuple[np.ndarray, float]:
     return c.reshape(DEGREE_INSIDE + 1, DEGREE_N + 1), float(np.abs(columns @ c - mean.numpy().ravel()).max())
 
 
+def through(distribution: str, rows: np.ndarray) -> tuple[np.ndarray, float]:
+    """Coefficients ``[X, A, N]`` of what single refraction at facets lets through, over 1 - F at the mean cosine, and the largest error."""
+    mu, alpha = _grid(16, 11)
+    eta = torch.tensor(ETAS, dtype=torch.float64)
+    w = torch.stack([torch.sqrt((1.0 - mu) * (1.0 + mu)), 0.0 * mu, mu], -1)
+    model = RoughDielectric(alpha[:, None, None], eta[:, None], distribution, "smith_separable", mode="flux", part="transmission")
+    wanted = model.directional_albedo(w[:, None, :], order=ORDER_THROUGH).squeeze(-1)
+    columns, base, _ = _columns(mu, alpha, ETAS)
+    cos = (mu[:, None] + base[:, None] * torch.from_numpy(columns @ rows.ravel()).reshape(wanted.shape)).clamp(0.0, 1.0)
+    before = (1.0 - dielectric(cos, eta)).numpy().ravel()
+    target, scaled = wanted.numpy().ravel(), columns * before[:, None]
+    c = np.linalg.lstsq(scaled, target, rcond=1e-10)[0]
+    return c.reshape(rows.shape), float(np.abs(scaled @ c - target).max())
+
+
 def main() -> None:
     """Write the file, and print the errors."""
     errors, blocks = [], []
     made = [(case, fitted(*case)) for case in CASES] + [((d, "inside"), inside(d)) for d in ("ggx", "beckmann")]
+    separable = {case[0]: found[0] for case, found in made if case[1] == "smith_separable"}
+    made += [((d, "through"), through(d, rows)) for d, rows in separable.items()]
     for (distribution, shadowing), (rows, error) in made:
         errors.append(f'    ("{distribution}", "{shadowing}"): {error:.1e},')
         numbers = [f"{c:.8g}" for c in rows.ravel()]

@@ -33,9 +33,10 @@ which is 1 for :math:`\rho = 1` at every angle: within 9e-4 for alpha in [0.01, 
 boundary as of Saunderson 1942; with alpha towards 0 it is ``Coated`` over ``Lambert``). Along two axes the fit of E is approximate, as
 that of ``RoughConductor``; ``energy_bound`` is then None, as it is for "mitsuba".
 
-``"mitsuba"``: F_di as the plugin ``roughplastic`` of Mitsuba 3 has it, what single reflection at facets throws back, its mean over 64
-angles (a fit within 1e-3), for ``"smith_separable"`` shadowing of GGX and Beckmann alone. A white base then loses what the facets lose.
-Its Beckmann has Walter's Lambda, ours the exact one; its T is interpolated between 64 cosines.
+``"mitsuba"``: T and F_di as the plugin ``roughplastic`` of Mitsuba 3 has them: what refraction at one facet lets in, and what reflection
+at one facet throws back from below (its mean over 64 angles), for ``"smith_separable"`` shadowing of GGX and Beckmann alone. A white base
+then loses what facets lose. The two are fits, within 4e-3 and 2e-3 (Beckmann 7e-3 and 2e-3), roughness along two axes taken as its root of
+the mean square; its Beckmann has Walter's Lambda, ours the exact one; its T is interpolated between 64 cosines.
 
 Reciprocal. One index for all channels. Not smooth at the horizon, for wi = -wo, and at the ridges of V-cavities.
 
@@ -134,7 +135,7 @@ class RoughPlastic(Bsdf):
 
     def formula(self, g: Geometry) -> Channels:
         below = self._below(g.viewer)
-        through = (1.0 - below.boundary.at(g.cos_i.abs(), self._local(below, g))) * below.let_in * (1.0 / math.pi)
+        through = self._let_in(below.boundary, g.cos_i.abs(), self._local(below.boundary, g)) * below.let_in * (1.0 / math.pi)
         base = tuple(b * through for b in below.body)
         return each(torch.add, base, self._coat(g.viewer).formula(g)) if self.gloss else base
 
@@ -194,10 +195,10 @@ class RoughPlastic(Bsdf):
 
     def _computed(self, viewer: Viewer) -> Below:
         eta = viewer.scalar(self.eta)
-        boundary = Boundary.of(self.distribution, self.shadowing, microfacets.rough(self, viewer), eta)
-        local = None if boundary.lost.rough.isotropic else viewer.local.wo
-        mean, inverse = boundary.mean_let_in(), 1.0 / (eta * eta)
-        conserving = self.coupling == "conserving"
+        conserving, rough = self.coupling == "conserving", microfacets.rough(self, viewer)
+        boundary = Boundary.of(self.distribution, self.shadowing, rough, eta, through=not conserving)
+        let_in = self._let_in(boundary, viewer.cos_o.abs(), None if rough.isotropic else viewer.local.wo)
+        mean, inverse = boundary.mean_let_in(through=not conserving), 1.0 / (eta * eta)
         leaves = mean * inverse if conserving else 1.0 - inside_reflectance(self.distribution, boundary.alpha, eta)
         rho = viewer.colour(self.albedo)
         # 1 - rho F_di without the difference of what may be equal
@@ -205,11 +206,15 @@ class RoughPlastic(Bsdf):
             body = tuple(r * inverse / ((1.0 - r) + r * leaves) for r in rho)
         else:
             body = tuple(r * inverse / leaves for r in rho)
-        return Below(boundary, 1.0 - boundary.at(viewer.cos_o.abs(), local), mean, body)
+        return Below(boundary, let_in, mean, body)
+
+    def _let_in(self, boundary: Boundary, cos: Tensor, local: Vec | None) -> Tensor:
+        """T of a direction."""
+        return boundary.let_through(cos) if self.coupling == "mitsuba" else 1.0 - boundary.at(cos, local)
 
     @staticmethod
-    def _local(below: Below, g: Geometry) -> Vec | None:
-        return None if below.boundary.lost.rough.isotropic else g.wi_local
+    def _local(boundary: Boundary, g: Geometry) -> Vec | None:
+        return None if boundary.lost.rough.isotropic else g.wi_local
 
     def _diffuse_albedo(self, viewer: Viewer) -> Channels:
         below = self._below(viewer)
@@ -218,7 +223,7 @@ class RoughPlastic(Bsdf):
     def _strengths(self, viewer: Viewer) -> list[Tensor]:
         """About what each lobe reflects."""
         diffuse = viewer.layout.mean(self._diffuse_albedo(viewer))
-        return [1.0 - self._below(viewer).let_in, diffuse] if self.gloss else [diffuse]
+        return [numerics.positive(1.0 - self._below(viewer).let_in), diffuse] if self.gloss else [diffuse]
 
     def _shares(self, viewer: Viewer) -> list[Tensor]:
         """How often each lobe is sampled."""
