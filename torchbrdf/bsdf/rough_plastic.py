@@ -176,8 +176,9 @@ class RoughPlastic(Bsdf):
         reflected, mean = textbook(m, alpha, eta, **by)
         t_i, t_o = (1 - reflected(m.where(p.above, c, 1)) for c in (p.cos_i, p.cos_o))
         body = albedo * t_i * t_o / (m.pi * eta * eta * (1 - albedo * (1 - mean / (eta * eta))))
-        coat = {"fresnel": lambda cos: Dielectric.textbook(m, cos, eta), "smith": "exact", "energy": "single"}
-        return body + RoughConductor.textbook(m, p, alpha, **coat, **by)
+        return body + RoughConductor.textbook(
+            m, p, alpha, lambda cos: Dielectric.textbook(m, cos, eta), smith="exact", energy="single", **by
+        )
 
     # Once for a viewer ---------------------------------------------------------------------------------------------------
 
@@ -195,7 +196,7 @@ class RoughPlastic(Bsdf):
 
     def _computed(self, viewer: Viewer) -> Below:
         eta = viewer.scalar(self.eta)
-        conserving, rough = self.coupling == "conserving", microfacets.rough(self, viewer)
+        conserving, rough = self.coupling == "conserving", self._coat(viewer)._rough(viewer)
         boundary = Boundary.of(self.distribution, self.shadowing, rough, eta, through=not conserving)
         let_in = self._let_in(boundary, viewer.cos_o.abs(), None if rough.isotropic else viewer.local.wo)
         mean, inverse = boundary.mean_let_in(through=not conserving), 1.0 / (eta * eta)
