@@ -1,7 +1,7 @@
 """Make the pictures of docs/models.md: rows of spheres over the roughness.
 
-    python docs/make_pictures.py            # all of them, into docs/images; a minute
-    python docs/make_pictures.py --samples 16
+    python docs/make_pictures.py            # all of them, into docs/images; minutes
+    python docs/make_pictures.py RoughPlastic --samples 16
 
 Each pixel is the mean of what its samples see of a studio: `bsdf.sample` draws directions, the studio says how bright they are.
 """
@@ -36,6 +36,17 @@ PICTURES: dict[str, tuple[str, tuple[Row, ...]]] = {
             lambda alpha: tb.RoughConductor([alpha, 0.2 * alpha], gold()),
         ),
     ),
+    "RoughDielectric": (
+        f"glass of eta = 1.5, alpha from {ALPHAS[0]:g} to {ALPHAS[-1]:g}: what it reflects, and the studio through its first surface",
+        (lambda alpha: tb.RoughDielectric(alpha, 1.5, mode="flux"),),
+    ),
+    "RoughPlastic": (
+        f"alpha of the coat from {ALPHAS[0]:g} to {ALPHAS[-1]:g}; below, Mitsuba's coupling, which loses what facets lose",
+        (
+            lambda alpha: tb.RoughPlastic([0.05, 0.2, 0.7], alpha, 1.5),
+            lambda alpha: tb.RoughPlastic([0.05, 0.2, 0.7], alpha, 1.5, shadowing="smith_separable", coupling="mitsuba"),
+        ),
+    ),
 }
 
 
@@ -67,10 +78,10 @@ def ball(bsdf: tb.Bsdf, samples: int) -> Tensor:
     """One sphere ``[SIDE, SIDE, 3]`` on white."""
     n, tangent, there = sphere()
     wo = torch.tensor([0.0, 0.0, 1.0]).expand_as(n)
-    u = torch.quasirandom.SobolEngine(2, scramble=True, seed=0).draw(samples)
+    u = torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(samples)
     total = torch.zeros_like(n)
     for one in u:  # the same for all pixels: what is left of the error is smooth, and the file small
-        s = bsdf.sample(wo, one.expand(SIDE, SIDE, 2), n, tangent)
+        s = bsdf.sample(wo, one.expand(SIDE, SIDE, 3), n, tangent)
         total += s.weight * studio(s.wi)
     return torch.where(there, total / samples, 1.0)
 
@@ -83,10 +94,12 @@ def picture(rows: tuple[Row, ...], samples: int) -> Tensor:
 def main() -> None:
     """Write all of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("models", nargs="*", default=list(PICTURES), help=f"of {', '.join(PICTURES)}; all, unless some are named")
     parser.add_argument("--samples", type=int, default=512, help="of each pixel")
     parser.add_argument("--out", type=Path, default=HERE / "images")
     args = parser.parse_args()
-    for name, (_, rows) in PICTURES.items():
+    for name in args.models:
+        rows = PICTURES[name][1]
         file = args.out / f"model-{name}.png"
         tb.save_image(file, picture(rows, args.samples), exposure=EXPOSURE)
         print(f"wrote {file}, {file.stat().st_size / 1000:.0f} kB")

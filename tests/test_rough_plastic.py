@@ -9,7 +9,7 @@ from torchbrdf.testing.subject import above, at_angles, generator
 
 DOUBLE = torch.float64
 CASES = [case for case in BOUNDARY_FITS if case[1] not in ("inside", "through")]
-ALPHAS, ETAS = torch.tensor([0.02, 0.05, 0.1, 0.3, 1.0], dtype=DOUBLE), torch.tensor([1.1, 1.25, 1.5, 3.0], dtype=DOUBLE)
+ALPHAS, ETAS = torch.tensor([0.02, 0.05, 0.1, 0.3, 1.0], dtype=DOUBLE), torch.tensor([1.125, 1.25, 1.5, 3.0], dtype=DOUBLE)
 VIEWS = at_angles(0.0, 20.0, 45.0, 60.0, 75.0, 85.0, 89.0, 89.7).to(DOUBLE)
 
 
@@ -23,7 +23,7 @@ def white(distribution="ggx", shadowing="smith_correlated", **choices):
 @pytest.mark.parametrize(("distribution", "shadowing"), CASES)
 def test_a_white_base_returns_everything(distribution, shadowing):
     found = white(distribution, shadowing).directional_albedo(VIEWS)
-    assert (found - 1.0).abs().max() <= 9e-4
+    assert (found - 1.0).abs().max() <= 1e-3
 
 
 def test_the_base_returns_what_its_closed_albedo_says():
@@ -41,10 +41,10 @@ def test_a_smooth_one_is_the_coated_lambert(eta):
     assert torch.allclose(ours.evaluate(wi, wo), theirs.evaluate(wi, wo), rtol=1e-3)
 
 
-def test_derivatives_by_every_parameter_along_two_axes():
+def test_derivatives_by_every_parameter():
     rng = generator(3)
     wi, wo = (above(3, rng, least=0.2) for _ in range(2))
-    inputs = [torch.tensor(x, dtype=DOUBLE, requires_grad=True) for x in ([0.8, 0.2], [0.5, 0.2], [1.5])]
+    inputs = [torch.tensor(x, dtype=DOUBLE, requires_grad=True) for x in ([0.8, 0.2], [0.3], [1.5])]
 
     def call(*p):
         return tb.RoughPlastic(*p).evaluate(wi, wo)
@@ -54,9 +54,9 @@ def test_derivatives_by_every_parameter_along_two_axes():
 
 
 REFUSED = {
-    "index": (lambda: tb.validate(tb.RoughPlastic(0.5, 0.2, 1.05)), r"RoughPlastic\.eta.*\[1\.1, 3\]"),
-    "dense": (lambda: tb.validate(tb.RoughPlastic(0.5, 0.2, 3.1)), r"RoughPlastic\.eta.*\[1\.1, 3\]"),
-    "axes": (lambda: tb.RoughPlastic(0.5, [0.2, 0.2, 0.2], 1.5), r"RoughPlastic\.alpha"),
+    "index": (lambda: tb.validate(tb.RoughPlastic(0.5, 0.2, 1.05)), r"RoughPlastic\.eta.*\[1\.125, 3\]"),
+    "dense": (lambda: tb.validate(tb.RoughPlastic(0.5, 0.2, 3.1)), r"RoughPlastic\.eta.*\[1\.125, 3\]"),
+    "axes": (lambda: tb.RoughPlastic(0.5, [0.2, 0.1], 1.5), r"RoughPlastic\.alpha"),
     "shadowing": (lambda: tb.RoughPlastic(0.5, 0.2, 1.5, "blinn"), r"RoughPlastic\.shadowing: found 'smith_correlated' beside 'blinn'"),
     "coupling": (lambda: tb.RoughPlastic(0.5, 0.2, 1.5, coupling="none"), r"RoughPlastic\.coupling: .*none"),
     "mitsuba": (lambda: tb.RoughPlastic(0.5, 0.2, 1.5, coupling="mitsuba"), r"goes with shadowing='smith_separable'"),

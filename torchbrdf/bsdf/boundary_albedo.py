@@ -7,9 +7,10 @@ cosine at which F is its mean over the facets that reflect; for a smooth surface
 
 .. math:: c = \mu + \frac{3\alpha}{\mu + 3\alpha}\,\frac{\alpha}{\alpha + 0.3}\;p, \qquad x = \mu\,\frac{1 + 3\alpha}{\mu + 3\alpha}
 
-of a polynomial p in x, in 1.1 alpha/(alpha + 0.1) and in 2.4 (eta - 1)/(eta - 0.6) / 2, for eta in [1.1, 3]: below, where F falls from 1
+of a polynomial p in x, in 1.1 alpha/(alpha + 0.1) and in 2.4 (eta - 1)/(eta - 0.6) / 2, for eta in [1.125, 3]: below, where F falls from 1
 within a cosine of sqrt(eta^2 - 1), a polynomial of this degree does not follow it. ``python -m torchbrdf.bsdf.make_boundary_albedo``
-makes it; its errors are :data:`~torchbrdf.bsdf.boundary_albedo_fit.ERRORS`. Of two axes the roughness is taken as there: approximate.
+makes it; its errors are :data:`~torchbrdf.bsdf.boundary_albedo_fit.ERRORS`. For one roughness, not for two axes: across the smaller one
+E at grazing is beyond what any single alpha has.
 """
 
 from collections.abc import Sequence
@@ -25,13 +26,12 @@ from ..optics.dielectric import Split, split
 from ..optics.distribution import Rough
 from ..optics.fresnel import Dielectric
 from ..quadrature import gauss_legendre
-from ..vector import Vec
 from .boundary_albedo_fit import TEXT
 from .lost_energy import DEGREE_A as DEGREE_A_LOST
 from .lost_energy import FITS, REACH, Lost, chebyshev, clenshaw, summed
 
 DEGREE_X, DEGREE_A, DEGREE_N, DEGREE_INSIDE = 7, 6, 5, 10
-COAT = Interval(1.1, 3.0, typical=(1.2, 2.5))
+COAT = Interval(1.125, 3.0, typical=(1.2, 2.5))
 NODES, WEIGHTS = gauss_legendre(12)
 Rows = tuple[tuple[tuple[float, ...], ...], ...]
 
@@ -74,22 +74,21 @@ class Boundary(NamedTuple):
     series: Channels  # coefficients of p by degree in x
     through: Channels  # of what is let through over 1 - F; none where nobody asks
     lost: Lost
-    alpha: Tensor  # of two axes the root of the mean square
+    alpha: Tensor
     eta: Tensor
 
     @staticmethod
     def of(distribution: str, shadowing: str, rough: Rough, eta: Tensor, through: bool = False) -> "Boundary":
-        """At a roughness and an index; ``through``: :meth:`let_through` will be asked, too."""
-        lost = Lost.of(FITS[distribution, shadowing], rough)
-        alpha = rough.x if rough.isotropic else torch.sqrt(lost.square)
+        """At an isotropic roughness and an index; ``through``: :meth:`let_through` will be asked, too."""
+        lost, alpha = Lost.of(FITS[distribution, shadowing], rough), rough.x
         by_alpha, by_eta = chebyshev(roughness_argument(alpha), DEGREE_A), chebyshev(index_argument(eta), DEGREE_N)
         names = [shadowing] + ["through"] * through
         series = [tuple(_both(row, by_alpha, by_eta) for row in BOUNDARY_FITS[distribution, name]) for name in names]
         return Boundary(series[0], series[-1] if through else (), lost, alpha, eta)
 
-    def at(self, cos: Tensor, local: Vec | None = None) -> Tensor:
-        """E in [0, 1] at a cosine >= 0; of a direction in the local frame where the roughness has two axes."""
-        return (1.0 - self.lost.at(cos, local)) * self._split(cos)[0].reflected
+    def at(self, cos: Tensor) -> Tensor:
+        """E in [0, 1] at a cosine >= 0."""
+        return (1.0 - self.lost.at(cos, None)) * self._split(cos)[0].reflected
 
     def let_through(self, cos: Tensor) -> Tensor:
         """What refraction at one facet each lets in, without what meets a second one; of separable shadowing."""
@@ -106,9 +105,9 @@ class Boundary(NamedTuple):
 
     def mean_let_in(self, through: bool = False) -> Tensor:
         """The average of 1 - E, or of :meth:`let_through`, over diffuse light, by Gauss's rule of 12 nodes in the root of the cosine."""
-        like, even = self.alpha + self.eta, self._replace(lost=self.lost._replace(rough=Rough(self.alpha, self.alpha, True)))
+        like = self.alpha + self.eta
         x, weight = (v.to(like).reshape(-1, *(1,) * like.dim()) for v in (NODES, WEIGHTS))
-        let_in = self.let_through(x * x) if through else 1.0 - even.at(x * x)
+        let_in = self.let_through(x * x) if through else 1.0 - self.at(x * x)
         return (let_in * (4.0 * x * x * x * weight)).sum(0)
 
 

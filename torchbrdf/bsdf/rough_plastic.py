@@ -8,8 +8,8 @@ r"""A rough clear coat over a diffuse base: plastic, satin varnish.
 parameter      unit, range              meaning
 =============  =======================  ==================================================================================
 albedo         [..., C] in [0, 1]       :math:`\rho`, of the base
-alpha          [..., 1 or 2], (0, 1]    roughness of the coat, a slope; two numbers are along the tangent and across
-eta            [..., 1] in [1.1, 3]     n(coat) / n(outside)
+alpha          [..., 1] in (0, 1]       roughness of the coat, a slope
+eta            [..., 1] in [1.125, 3]   n(coat) / n(outside)
 distribution   a name                   D: ``"ggx"``, ``"beckmann"``, ``"blinn"``
 shadowing      a name                   G: ``"smith_correlated"``, ``"smith_separable"``, ``"v_cavity"``
 coupling       a name                   F_di: ``"conserving"``, or ``"mitsuba"``
@@ -18,7 +18,7 @@ gloss          True, False              whether the coat's own reflection is par
 =============  =======================  ==================================================================================
 
 The coat reflects as :class:`RoughConductor` with the exact F of ``tb.Dielectric``, once: E is the directional albedo of that lobe
-(:mod:`~torchbrdf.bsdf.boundary_albedo`, a fit for alpha from 0.01 on, within 9e-4; smoother coats are nearer to F). The base gets
+(:mod:`~torchbrdf.bsdf.boundary_albedo`, a fit; the smoother the coat, the nearer to F). The base gets
 T, the rest, with what meets a second facet; scatters :math:`\rho` of it evenly; and of diffuse light from below F_di comes back to it,
 again and again, so that :math:`\rho\,(1 - F_{di})/(1 - \rho F_{di})` of it leaves.
 
@@ -29,21 +29,20 @@ it lets in from above (radiance grows by :math:`\eta^2`, solid angle falls by it
 .. math:: 1 - F_{di} = \bar T / \eta^2, \qquad
    \text{albedo} = E + T\, \frac{\rho\,\bar T/\eta^2}{1 - \rho\,(1 - \bar T/\eta^2)}
 
-which is 1 for :math:`\rho = 1` at every angle: within 9e-4 for alpha in [0.01, 1] (Kelemen & Szirmay-Kalos 2001 with the base below a
-boundary as of Saunderson 1942; with alpha towards 0 it is ``Coated`` over ``Lambert``). Along two axes the fit of E is approximate, as
-that of ``RoughConductor``; ``energy_bound`` is then None, as it is for "mitsuba".
+which is 1 for :math:`\rho = 1` at every angle: within 1e-3 for alpha in [0.02, 1], 4e-3 below (Kelemen & Szirmay-Kalos 2001 with the
+base below a boundary as of Saunderson 1942; with alpha towards 0 it is ``Coated`` over ``Lambert``).
 
 ``"mitsuba"``: T and F_di as the plugin ``roughplastic`` of Mitsuba 3 has them: what refraction at one facet lets in, and what reflection
 at one facet throws back from below (its mean over 64 angles), for ``"smith_separable"`` shadowing of GGX and Beckmann alone. A white base
-then loses what facets lose. The two are fits, within 4e-3 and 2e-3 (Beckmann 7e-3 and 2e-3), roughness along two axes taken as its root of
-the mean square; its Beckmann has Walter's Lambda, ours the exact one; its T is interpolated between 64 cosines.
+then loses what facets lose (GGX, eta = 1.5: 4 to 12 % at alpha 0.05, 30 to 40 % at 0.3). The two are fits, at the fitted points within
+4e-3 and 2e-3 (Beckmann 7e-3 and 2e-3); its Beckmann has Walter's Lambda, ours the exact one; its T is interpolated between 64 cosines.
 
 Reciprocal. One index for all channels. Not smooth at the horizon, for wi = -wo, and at the ridges of V-cavities.
 
 >>> import torch, torchbrdf as tb
 >>> w = torch.tensor([0.6, 0.0, 0.8])
 >>> [round(x, 2) for x in tb.RoughPlastic([1.0, 0.5, 0.0], 0.3, 1.5).directional_albedo(w).tolist()]
-[1.0, 0.31, 0.05]
+[1.0, 0.32, 0.04]
 """
 
 import math
@@ -55,7 +54,7 @@ from torch import Tensor
 from .. import arguments, numerics, sampling
 from ..geometry import Channels, Geometry, Viewer, each
 from ..interval import UNIT
-from ..optics.distribution import ALPHA, AXES, need_axes
+from ..optics.distribution import ALPHA
 from ..optics.fresnel import Dielectric
 from ..value import COLOUR, SCALAR, param, value
 from ..vector import Vec
@@ -85,7 +84,7 @@ class RoughPlastic(Bsdf):
     """A rough coat of index ``eta`` over a diffuse base of albedo ``albedo``."""
 
     albedo: Tensor = param(UNIT, COLOUR, "albedo of the base")
-    alpha: Tensor = param(ALPHA, AXES, "roughness of the coat, a slope")
+    alpha: Tensor = param(ALPHA, SCALAR, "roughness of the coat, a slope")
     eta: Tensor = param(COAT, SCALAR, "index of refraction, coat over outside")
     distribution: str = "ggx"
     shadowing: str = "smith_correlated"
@@ -95,7 +94,7 @@ class RoughPlastic(Bsdf):
 
     variants = (
         {"distribution": "ggx"},
-        {"distribution": "beckmann", "shadowing": "smith_separable", "coupling": "mitsuba", "alpha": (0.4, 0.15)},
+        {"distribution": "beckmann", "shadowing": "smith_separable", "coupling": "mitsuba"},
         {"distribution": "blinn", "shadowing": "v_cavity", "gloss": False},
     )
 
@@ -113,19 +112,14 @@ class RoughPlastic(Bsdf):
             if not isinstance(getattr(self, name), bool):
                 raise TypeError(f"RoughPlastic.{name}: found {getattr(self, name)!r}, legal are True and False")
 
-    def check_shapes(self) -> None:
-        """As every model; and one or two numbers of roughness."""
-        super().check_shapes()
-        need_axes(self.alpha, "RoughPlastic.alpha")
-
     @property
     def lobes(self) -> tuple[Lobe, ...]:  # type: ignore[override]
         return (Lobe.GLOSSY_REFLECTION,) * self.gloss + (Lobe.DIFFUSE_REFLECTION,)
 
     @property
     def energy_bound(self) -> Tensor | None:
-        """1; none where E is approximate, nor for Mitsuba's coupling."""
-        return None if self.alpha.shape[-1] == 2 or self.coupling == "mitsuba" else super().energy_bound
+        """1; none for Mitsuba's coupling."""
+        return None if self.coupling == "mitsuba" else super().energy_bound
 
     def select(self, wanted: Lobe) -> Bsdf | None:
         glossy, diffuse = self.gloss and Lobe.GLOSSY_REFLECTION.serves(wanted), Lobe.DIFFUSE_REFLECTION.serves(wanted)
@@ -135,7 +129,7 @@ class RoughPlastic(Bsdf):
 
     def formula(self, g: Geometry) -> Channels:
         below = self._below(g.viewer)
-        through = self._let_in(below.boundary, g.cos_i.abs(), self._local(below.boundary, g)) * below.let_in * (1.0 / math.pi)
+        through = self._let_in(below.boundary, g.cos_i.abs()) * below.let_in * (1.0 / math.pi)
         base = tuple(b * through for b in below.body)
         return each(torch.add, base, self._coat(g.viewer).formula(g)) if self.gloss else base
 
@@ -170,7 +164,7 @@ class RoughPlastic(Bsdf):
 
     @staticmethod
     def textbook(m: Any, p: Any, albedo: Any, alpha: Any, eta: Any, **names: Any) -> Any:
-        if isinstance(alpha, tuple) or names["coupling"] == "mitsuba" or not names["gloss"]:
+        if names["coupling"] == "mitsuba" or not names["gloss"]:
             return NotImplemented
         by = {"distribution": names["distribution"], "shadowing": names["shadowing"]}
         reflected, mean = textbook(m, alpha, eta, **by)
@@ -187,7 +181,12 @@ class RoughPlastic(Bsdf):
 
     def _coat(self, viewer: Viewer) -> RoughConductor:
         """The coat's own reflection."""
-        made: RoughConductor = viewer.once(self, self._made, "coat")
+        made: RoughConductor = viewer.once(self, lambda: self._wide(viewer)._made(), "coat")
+        return made
+
+    def _wide(self, viewer: Viewer) -> "RoughPlastic":
+        """Slopes of half types, of which coat and base each have a large part, are added up in float32."""
+        made: RoughPlastic = viewer.once(self, lambda: self.map(numerics.widen), "widened")
         return made
 
     def _below(self, viewer: Viewer) -> Below:
@@ -195,10 +194,10 @@ class RoughPlastic(Bsdf):
         return made
 
     def _computed(self, viewer: Viewer) -> Below:
-        eta = viewer.scalar(self.eta)
+        eta = viewer.scalar(self._wide(viewer).eta)
         conserving, rough = self.coupling == "conserving", self._coat(viewer)._rough(viewer)
         boundary = Boundary.of(self.distribution, self.shadowing, rough, eta, through=not conserving)
-        let_in = self._let_in(boundary, viewer.cos_o.abs(), None if rough.isotropic else viewer.local.wo)
+        let_in = self._let_in(boundary, viewer.cos_o.abs())
         mean, inverse = boundary.mean_let_in(through=not conserving), 1.0 / (eta * eta)
         leaves = mean * inverse if conserving else 1.0 - inside_reflectance(self.distribution, boundary.alpha, eta)
         rho = viewer.colour(self.albedo)
@@ -209,13 +208,9 @@ class RoughPlastic(Bsdf):
             body = tuple(r * inverse / leaves for r in rho)
         return Below(boundary, let_in, mean, body)
 
-    def _let_in(self, boundary: Boundary, cos: Tensor, local: Vec | None) -> Tensor:
-        """T of a direction."""
-        return boundary.let_through(cos) if self.coupling == "mitsuba" else 1.0 - boundary.at(cos, local)
-
-    @staticmethod
-    def _local(boundary: Boundary, g: Geometry) -> Vec | None:
-        return None if boundary.lost.rough.isotropic else g.wi_local
+    def _let_in(self, boundary: Boundary, cos: Tensor) -> Tensor:
+        """T at a cosine."""
+        return boundary.let_through(cos) if self.coupling == "mitsuba" else 1.0 - boundary.at(cos)
 
     def _diffuse_albedo(self, viewer: Viewer) -> Channels:
         below = self._below(viewer)
