@@ -132,15 +132,16 @@ def test_the_backend_saves_nothing_and_leaves_others_their_budget(monkeypatch):
     assert config.activation_memory_budget == before != 0.0
 
 
-def test_settings_of_long_formulas_are_for_cpus_and_those_that_torch_has(without, monkeypatch):
+@pytest.mark.parametrize("wanted", [torch_compat.LONG_FORMULAS, torch_compat.LOSSES])
+def test_settings_are_for_cpus_and_those_that_torch_has(without, monkeypatch, wanted):
     from torch._inductor import config
 
-    assert torch_compat._settings([torch.rand(2), 3]) == torch_compat.LONG_FORMULAS
-    assert torch_compat._settings([torch.rand(2), torch.rand(2, device="meta")]) == {}
-    monkeypatch.setitem(torch_compat.LONG_FORMULAS, "a_setting_that_is_gone", 1)
-    assert all(hasattr(config, name) for name in torch_compat._settings([]))
+    assert torch_compat._settings([torch.rand(2), 3], wanted) == wanted
+    assert torch_compat._settings([torch.rand(2), torch.rand(2, device="meta")], wanted) == {}
+    monkeypatch.setitem(wanted, "a_setting_that_is_gone", 1)
+    assert all(hasattr(config, name) for name in torch_compat._settings([], wanted))
     without("torch._inductor", "config")
-    assert torch_compat._settings([]) == {}
+    assert torch_compat._settings([], wanted) == {}
 
 
 def test_graphs_that_end_in_a_loss_are_not_computed_twice(monkeypatch):

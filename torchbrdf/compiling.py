@@ -38,7 +38,7 @@ def inductor(recompute: bool | None = False) -> Any:
     if not torch_compat.has_cpp_compiler():
         _warn_once("no C++ compiler (g++) was found: running eagerly, several times slower; install g++ to compile")
         return None
-    return "inductor" if recompute is False else torch_compat.recomputing_backend(bool(recompute))
+    return torch_compat.fusing_backend() if recompute is False else torch_compat.recomputing_backend(bool(recompute))
 
 
 def _warn_once(message: str) -> None:
