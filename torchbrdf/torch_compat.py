@@ -94,7 +94,7 @@ def fusing_backend() -> Any:
 
 
 def _settings(inputs: Any, wanted: dict[str, Any]) -> dict[str, Any]:
-    """Those of the wanted settings of inductor that there are, for a graph of inputs on CPUs; elsewhere none. Without the private names: none."""
+    """Those of the wanted settings that inductor has, for a graph of inputs on CPUs; elsewhere, and without the private names, none."""
     try:
         from torch._inductor import config
     except ABSENT:
