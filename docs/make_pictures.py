@@ -1,7 +1,7 @@
 """Make the pictures of docs/models.md: rows of spheres over the roughness.
 
     python docs/make_pictures.py            # all of them, into docs/images; minutes
-    python docs/make_pictures.py RoughPlastic --samples 16
+    python docs/make_pictures.py RoughDielectric --samples 16
 
 Each pixel is the mean of what its samples see of a studio: `bsdf.sample` draws directions, the studio says how bright they are.
 """
@@ -39,13 +39,6 @@ PICTURES: dict[str, tuple[str, tuple[Row, ...]]] = {
     "RoughDielectric": (
         f"glass of eta = 1.5, alpha from {ALPHAS[0]:g} to {ALPHAS[-1]:g}: what it reflects, and the studio through its first surface",
         (lambda alpha: tb.RoughDielectric(alpha, 1.5, mode="flux"),),
-    ),
-    "RoughPlastic": (
-        f"alpha of the coat from {ALPHAS[0]:g} to {ALPHAS[-1]:g}; below, Mitsuba's coupling, which loses what facets lose",
-        (
-            lambda alpha: tb.RoughPlastic([0.05, 0.2, 0.7], alpha, 1.5),
-            lambda alpha: tb.RoughPlastic([0.05, 0.2, 0.7], alpha, 1.5, shadowing="smith_separable", coupling="mitsuba"),
-        ),
     ),
 }
 

@@ -14,7 +14,6 @@ BSDFS = {
     "Mirror": "bsdf.mirror",
     "RoughConductor": "bsdf.rough_conductor",
     "RoughDielectric": "bsdf.rough_dielectric",
-    "RoughPlastic": "bsdf.rough_plastic",
     "SmoothDielectric": "bsdf.smooth_dielectric",
     "Sum": "bsdf.combine",
     "Scaled": "bsdf.combine",

@@ -39,11 +39,10 @@ TEXT = """
 def single_albedo(distribution: str, shadowing: str, mu: Tensor, alpha: Tensor, order: int = ORDER) -> Tensor:
     """E ``[N]`` at cosines and roughnesses ``[N]``, float64, of a white surface that is isotropic; to about 1e-5 (1e-9 for Beckmann)."""
     pairs = zip(mu.split(CHUNK), alpha.split(CHUNK), strict=True)
-    return torch.cat([facet_rule(distribution, shadowing, m, a, order)[1].sum((-1, -2)) for m, a in pairs])
+    return torch.cat([_albedo(distribution, shadowing, m, a, order) for m, a in pairs])
 
 
-def facet_rule(distribution: str, shadowing: str, mu: Tensor, alpha: Tensor, order: int) -> tuple[Tensor, Tensor]:
-    """Cosines ``[N, order, order]`` at the facets of a white surface that send light above the horizon, and the light of each."""
+def _albedo(distribution: str, shadowing: str, mu: Tensor, alpha: Tensor, order: int) -> Tensor:
     model = RoughConductor(alpha[:, None, None, None], distribution=distribution, shadowing=shadowing)
     mu, alpha = mu.clamp_max(1.0 - 1e-9)[:, None, None], alpha[:, None, None]
     sin, (x, weight) = torch.sqrt((1.0 - mu) * (1.0 + mu)), gauss_legendre(order)
@@ -63,7 +62,7 @@ def facet_rule(distribution: str, shadowing: str, mu: Tensor, alpha: Tensor, ord
     wo_h = (half * wo).sum(-1)
     wi = 2.0 * wo_h[..., None] * half - wo
     f = model.evaluate(wi, wo.expand_as(wi), assume_unit=True).squeeze(-1)
-    return wo_h, f * wi[..., 2] * 4.0 * wo_h * cos_h**3 * 2.0 * around * along
+    return (f * wi[..., 2] * 4.0 * wo_h * cos_h**3 * 2.0 * around * along).sum((-1, -2))
 
 
 def fitted(distribution: str, shadowing: str) -> tuple[Fit, float]:
