@@ -150,11 +150,12 @@ def test_compiled_mirror_is_eager_mirror():
         ({}, {"fullgraph": True, "backend": "recomputing pixels"}),
         ({"fullgraph": False}, {"fullgraph": False, "backend": "recomputing pixels"}),
         ({"recompute": True}, {"fullgraph": True, "backend": "recomputing all"}),
-        ({"recompute": False}, {"fullgraph": True, "backend": "inductor"}),
+        ({"recompute": False}, {"fullgraph": True, "backend": "fusing"}),
     ],
 )
 def test_what_compile_asks_of_torch(monkeypatch, given, asked):
     monkeypatch.setattr(torch_compat, "has_cpp_compiler", lambda: True)
     monkeypatch.setattr(torch_compat, "recomputing_backend", lambda always: f"recomputing {'all' if always else 'pixels'}")
+    monkeypatch.setattr(torch_compat, "fusing_backend", lambda: "fusing")
     monkeypatch.setattr(torch, "compile", lambda fn, **options: options)
     assert tb.compile(tb.shade, **given) == asked

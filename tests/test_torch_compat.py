@@ -120,6 +120,16 @@ def test_without_a_budget_the_backend_is_inductor(without, monkeypatch):
         assert torch_compat.recomputing_backend() == "inductor"
 
 
+def test_without_the_private_names_a_loss_is_compiled_by_inductor_as_it_is(without):
+    torch_compat.fusing_backend.cache_clear()
+    assert callable(torch_compat.fusing_backend())
+    assert torch_compat.fusing_backend() is torch_compat.fusing_backend(), "or torch compiles again"
+    torch_compat.fusing_backend.cache_clear()
+    without("torch._inductor.compile_fx", "compile_fx")
+    assert torch_compat.fusing_backend() == "inductor"
+    torch_compat.fusing_backend.cache_clear()
+
+
 def test_the_backend_saves_nothing_and_leaves_others_their_budget(monkeypatch):
     from torch._functorch import config
 
