@@ -315,3 +315,14 @@ def test_reflectance_shapes():
     assert tb.Schlick([0.1, 0.2, 0.3]).reflectance(torch.rand(4, 5, 1)).shape == (4, 5, 3)
     with pytest.raises(ValueError, match=r"expected shape \[..., 1\], found \[4\]; did you mean"):
         tb.Schlick(0.1).reflectance(torch.rand(4))
+
+
+@pytest.mark.parametrize("eta", [0.1, 1.0, 1e12, 1e18])
+@pytest.mark.parametrize("k", [1e10, 1e13, 1e18])
+def test_a_conductor_of_huge_index_has_a_value_and_slopes(eta, k):
+    """Where a line search from k = 0 may look: the squares of z^2 overflow float32 from 1e10 on."""
+    c = torch.tensor([1.0, 0.5, 1e-3], requires_grad=True)
+    n, k = (torch.tensor(x, requires_grad=True) for x in (eta, k))
+    found = fresnel.conductor(c, n, k)
+    torch.testing.assert_close(found, fresnel.conductor(c.double(), n.double(), k.double()).float(), rtol=16 * 2.0**-23, atol=0.0)
+    assert all(torch.isfinite(slope).all() for slope in torch.autograd.grad(found.sum(), (c, n, k)))
